@@ -116,7 +116,7 @@ class Continuity:
     p_hit: Literal["map", "normalised"] = _setting(
         "map",
         "",
-        "Eq. 4: map: P_hit is the power of the score itself, beside a P_rand of 1 / particles; "
+        "Eq. 4: map: P_hit is the power of the score itself, with a P_rand of 1 / particles; "
         "normalised: it is divided by its sum over the group, so that both are probabilities of "
         "the particles; open in the paper",
     )
@@ -127,7 +127,7 @@ class Continuity:
     )
     strikes: Count = _setting(5, "", "strikes that delete a group; the paper says five times")
     count_strikes: Literal["in_a_row", "in_all"] = _setting(
-        "in_a_row", "", "in_a_row: a frame without a strike starts the count anew; in_all: not"
+        "in_a_row", "", "in_a_row: a frame without a strike sets the count to 0; in_all: not"
     )
     min_existence: Share = _setting(
         0.05, "probability", "a group less likely to exist is deleted; 0 leaves it to the strikes"
@@ -274,7 +274,24 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 def preset(name: str) -> Config:
-    """The configuration of a preset. Raises UsageError for an unknown name."""
+    """The settings of a preset.
+
+    Parameters
+    ----------
+    name : {"default", "offline", "paper"}
+        The preset.
+
+    Returns
+    -------
+    Config
+        Settings by stage; `dataclasses.replace` changes them. Units are those of
+        `sonarrec config`.
+
+    Raises
+    ------
+    UsageError
+        There is no preset of that name.
+    """
     if name not in PRESETS:
         raise UsageError(f"unknown preset {brief(name)}; there are: {', '.join(PRESETS)}")
     return with_table(Config(preset=name), PRESETS[name], f"preset {name}")

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-Place = TypeVar("Place")
+AnyPath = TypeVar("AnyPath")
 
 
 def printable(text: object) -> str:
@@ -19,10 +19,10 @@ def printable(text: object) -> str:
     Control characters, and bytes of names that are no UTF-8, become escapes such as \\xe9; secrets
     of URLs are left out.
     """
-    plain = hidden(name_as_text(text))
-    if plain.isprintable():
-        return plain
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain)
+    safe = redact_urls(name_as_text(text))
+    if safe.isprintable():
+        return safe
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in safe)
 
 
 class SonarrecError(Exception):
@@ -89,105 +89,105 @@ _USER = (
     r"(?:[^\s/:@]*:(?!\d*(?:[/?#;]|$))(?:(?!:/)[^\n])*@"
     r"|[^\s/:@]*:(?:(?!:/)[^?#;\n])*@|[^\s/?#]*@)?"
 )
-_WHOLE = re.compile(rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^?;#]*).*", re.DOTALL)
+_URL_PARTS = re.compile(rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^?;#]*).*", re.DOTALL)
 _IN_TEXT = re.compile(
     rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^\s?;#'\"]*)(?:[?;#]\S*?(?=[:'\",;)\]]*(?:\s|$)))?"
 )
 
 
 def is_url(text: object) -> bool:
-    """Whether a text is a URL, also after it was turned into a Path and back."""
+    """Whether a text is a URL, also one that has been a Path."""
     return _URL.match(str(text)) is not None
 
 
-def shown_url(url: object) -> str:
+def redact_url(url: object) -> str:
     """Scheme, host and path of a URL, without user, password, parameters, query and fragment."""
-    return _WHOLE.sub(r"\1\2", str(url))
+    return _URL_PARTS.sub(r"\1\2", str(url))
 
 
-def hidden(text: object, known: Iterable[str] = ()) -> str:
-    """A text with each URL in it as `shown_url` has it, for every output.
+def redact_urls(text: object, known: Iterable[str] = ()) -> str:
+    """A text with each URL in it as `redact_url` has it, for every output.
 
     known: URLs that may be in it, since where one ends in a text is a guess.
     """
     for url in known:
-        text = str(text).replace(url, shown_url(url))
+        text = str(text).replace(url, redact_url(url))
     return _IN_TEXT.sub(r"\1\2", str(text))
 
 
-def local(place: Place) -> Place:
-    """The place itself. Raises UsageError if it is a URL: only `run` takes these."""
-    if is_url(place):
+def refuse_url(path: AnyPath) -> AnyPath:
+    """The path as it is. Raises UsageError if it is a URL: only `run` can use one."""
+    if is_url(path):
         raise UsageError(
-            f"{shown_url(place)}: URLs are for the logs and results of `run`; copy it here, or "
+            f"{redact_url(path)}: URLs are for the logs and results of `run`; copy it here, or "
             "mount the server: sonarrec help run"
         )
-    return place
+    return path
 
 
 MAX_PROBLEM_LINES = 20
-"""So many frames that could not be used are told, a line each; then a count."""
+"""The most frames that could not be used with a line of their own; then a count."""
 
 
-MOST_ALIKE = 3
-"""So many faults of a kind, equal but for numbers, are told, a line each; then a count."""
+MOST_OF_A_KIND = 3
+"""The most faults, equal but for numbers, with a line of their own; then a count."""
 
 
 class Diagnostics:
-    """What is to be told about one log. Every part tells it; the commands print it.
+    """Notes and faults of one log. Every part of the program adds to them; the commands print them.
 
-    notes: a line on each thing that was guessed, assumed or contradicts. unusable: how many frames
-    of this pass could not be used. No line is told twice, so a further pass over the log gives the
-    same.
+    notes: a line on each value that was guessed, assumed or contradicts another. unusable: how many
+    frames of this pass could not be used. A line that is there already is not added again, so a
+    further pass over the log gives the same lines.
     """
 
     def __init__(self, log: object = None) -> None:
-        """log: its path, with which notes begin; None: they name by themselves what they are on."""
+        """log: its path, with which notes begin; None: each note names what it is about."""
         self.notes: list[str] = []
         self._faults: dict[str, dict[str, None]] = {}  # the lines of each kind
         self.unusable = 0
         self._log = log
         self._skipped: list[str] = []  # of this pass
-        self._is_whole = False  # whether this pass reached the end, so that faults are complete
+        self._is_at_end = False  # whether this pass reached the end, so that faults are complete
         self._others: list[str] = []
 
     def note(self, *lines: str, about: object = None) -> None:
-        """Tell what the user should know though everything was used. about: if not the log."""
+        """Add what the user should know though everything was used. about: if not the log."""
         about = self._log if about is None else about
-        _tell(self.notes, [line if about is None else f"{about}: {line}" for line in lines])
+        _add(self.notes, [line if about is None else f"{about}: {line}" for line in lines])
 
     def fault(self, text: str, file: object) -> None:
-        """Tell what is wrong with a file of the log as a whole. file: its name."""
+        """Add what is wrong with a file of the log as a whole. file: its name."""
         line = printable(f"{file}: {text}")
         self._faults.setdefault(re.sub("[0-9]+", "", line), {})[line] = None
 
     def problem(self, *lines: str) -> None:
-        """Tell what else could not be used."""
-        _tell(self._others, lines)
+        """Add what else could not be used."""
+        _add(self._others, lines)
 
     def skip(self, frame: str, why: object) -> None:
-        """Tell that a frame could not be used."""
+        """Add a frame that could not be used, and why."""
         self.unusable += 1
         if self.unusable <= MAX_PROBLEM_LINES:
             self._skipped.append(printable(f"{frame}: {why}, skipped"))
 
     def begin_pass(self) -> None:
-        """Forget the frames of an earlier pass."""
-        self.unusable, self._is_whole = 0, False
+        """Drop the frames of an earlier pass."""
+        self.unusable, self._is_at_end = 0, False
         self._skipped.clear()
 
     def end_pass(self) -> None:
         """All frames were read, to the end of the log."""
-        self._is_whole = True
+        self._is_at_end = True
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong with the log as a whole: of one kind MOST_ALIKE lines, then a count."""
+        """What is wrong with the log as a whole: of one kind MOST_OF_A_KIND lines, then a count."""
         lines = list[str]()
         for of_kind in self._faults.values():
             first, *others = [*of_kind]
-            lines += [first, *others[: MOST_ALIKE - 1]]
-            if more := len(of_kind) - MOST_ALIKE:
+            lines += [first, *others[: MOST_OF_A_KIND - 1]]
+            if more := len(of_kind) - MOST_OF_A_KIND:
                 where = f"{first.partition(': ')[0]}: "
                 lines += [f"{where}{more} more of this kind"] * (more > 0)
         return lines
@@ -201,8 +201,8 @@ class Diagnostics:
     @property
     def problems(self) -> list[str]:
         """All that could not be used (exit code 3); complete after a pass over the log."""
-        return [*self.skipped, *(self.faults if self._is_whole else []), *self._others]
+        return [*self.skipped, *(self.faults if self._is_at_end else []), *self._others]
 
 
-def _tell(told: list[str], lines: Iterable[str]) -> None:
-    told += [line for line in dict.fromkeys(map(printable, lines)) if line not in told]
+def _add(known: list[str], lines: Iterable[str]) -> None:
+    known += [line for line in dict.fromkeys(map(printable, lines)) if line not in known]

@@ -97,19 +97,19 @@ def plane_position(pair: tuple[str, FloatArray, FloatArray], fan: Fan | None) ->
 
 
 def plane_from_polar(range_m: FloatArray, bearing_deg: FloatArray) -> FloatArray:
-    """(rows, 2) places in the fan plane, as plane_position's, of slant ranges and bearings."""
+    """(rows, 2) positions in the fan plane, as plane_position's, of slant ranges and bearings."""
     bearing = np.radians(bearing_deg)
     return np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing)])
 
 
 def pixel_from_plane(fan: Fan, position: FloatArray) -> FloatArray:
-    """(rows, 2) column and row in fan pixels of places in the fan plane, as plane_position's."""
+    """(rows, 2) column and row in fan pixels of positions in the fan plane, as plane_position's."""
     apex = (fan.apex_column, fan.apex_row)
     return np.asarray(position / fan.metres_per_pixel * (1, -1) + apex)
 
 
 def polar_from_plane(position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(slant range in m, bearing in deg) of places in the fan plane, as plane_position's."""
+    """(slant range in m, bearing in deg) of positions in the fan plane, as plane_position's."""
     right, ahead = position.T
     return np.hypot(right, ahead), np.degrees(np.arctan2(right, ahead))
 
@@ -183,11 +183,11 @@ class Resampling:
     Pixels that were not filled are 0.
     """
 
-    def __init__(self, shape: tuple[int, int], shrink: tuple[int, int] = (1, 1)) -> None:
-        """shape: (rows, columns) of the resampled images. shrink: (down, across) how many pixels
+    def __init__(self, shape: tuple[int, int], block: tuple[int, int] = (1, 1)) -> None:
+        """shape: (rows, columns) of the resampled images. block: (down, across) how many pixels
         are averaged first; a mean has less speckle than a single pixel.
         """
-        self._shrink = shrink
+        self._block = block
         self._columns = np.full((*shape, 2), BEYOND, np.int16)
         self._weights = np.zeros(shape, np.uint16)
 
@@ -197,7 +197,7 @@ class Resampling:
         band: the rows of the resampled images. column, row: position in the images, in pixels.
         seen: whether it is inside. All three are (rows of the band, columns).
         """
-        down, across = self._shrink
+        down, across = self._block
         self._columns[band], self._weights[band] = cv2.convertMaps(
             ((column + 0.5) / across - 0.5).astype(np.float32),
             ((row + 0.5) / down - 0.5).astype(np.float32),
@@ -207,13 +207,13 @@ class Resampling:
 
     def __call__(self, image: ByteImage) -> ByteImage:
         """An image (uint8) resampled, (rows, columns) uint8."""
-        if max(self._shrink) > 1:
+        if max(self._block) > 1:
             # Filled up to whole blocks: a remainder would shift the scale by a part of a pixel.
-            rows, columns = (-side % by for side, by in zip(image.shape, self._shrink, strict=True))
+            rows, columns = (-side % by for side, by in zip(image.shape, self._block, strict=True))
             if rows or columns:
                 filled = cv2.copyMakeBorder(image, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
                 image = np.asarray(filled, np.uint8)
-            size = (image.shape[1] // self._shrink[1], image.shape[0] // self._shrink[0])
+            size = (image.shape[1] // self._block[1], image.shape[0] // self._block[0])
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         resampled = cv2.remap(
             image, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
@@ -288,8 +288,8 @@ class PolarToFan(PolarImages):
     def __call__(self, polar: ByteImage) -> ByteImage:
         return self._resampling(polar)
 
-    def forget(self) -> None:
-        """Free what a call prepares for the next ones; it is prepared anew if there are any."""
+    def free(self) -> None:
+        """Free what a call prepares for the next ones; a later call prepares it again."""
         self.__dict__.pop("_resampling", None)
 
 
@@ -326,12 +326,12 @@ def points_on_disc(radius_m: float, count: int) -> tuple[FloatArray, FloatArray]
     """(count,) m to the right and ahead of the centre: points spread evenly over a disc, like the
     seeds of a sunflower."""
     n = np.arange(count) + 0.5
-    distance, turn = radius_m * np.sqrt(n / count), n * (np.pi * (3 - math.sqrt(5)))
-    return distance * np.cos(turn), distance * np.sin(turn)
+    distance, angle = radius_m * np.sqrt(n / count), n * (np.pi * (3 - math.sqrt(5)))
+    return distance * np.cos(angle), distance * np.sin(angle)
 
 
 POSE_GAP = 10
-"""There is no pose between rows that are more than this many usual steps apart."""
+"""There is no pose in a gap between rows that is longer than this many usual steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,17 +341,17 @@ class PoseTable:
     Positions and headings are the sonar's own on the floor. Only differences between rows count, so
     the origin and the direction of zero are free.
 
-    name: in messages. source: what run.toml says of it. at: (N,) ns. pose: (N, 3) yaw in deg,
-    positive to the right (clockwise seen from above) and without jumps of 360, then x and y, the
-    place on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns: between
-    two rows that are farther apart there is no pose. problems: a line for each row that could not
-    be used. axes: the directions of x and y in the user's own table at yaw 0; in `pose` they are
-    always right and ahead.
+    name: in messages. source: what run.toml says of it. time_ns: (N,). pose: (N, 3) yaw in
+    deg, positive to the right (clockwise seen from above) and without jumps of 360, then x and y,
+    the position on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns:
+    there is no pose between two rows with a longer gap. problems: a line for each row that could
+    not be used. axes: the directions of x and y in the user's own table at yaw 0; in `pose` they
+    are always right and ahead.
     """
 
     name: str
     source: Mapping[str, str]
-    at: IntArray
+    time_ns: IntArray
     pose: FloatArray
     gap_ns: float
     problems: tuple[str, ...] = ()
@@ -359,13 +359,13 @@ class PoseTable:
 
     def covers(self, time_ns: int) -> bool:
         """Whether the pose at a time is known: from the first row to the last, but not in a gap."""
-        return self._at(time_ns) is not None
+        return self._pose_at(time_ns) is not None
 
-    def at_times(self, times_ns: IntArray) -> FloatArray:
+    def poses_at(self, times_ns: IntArray) -> FloatArray:
         """(N, 3) the poses at (N,) times, in the form of `pose`; NaN if not known."""
-        after = np.clip(np.searchsorted(self.at, times_ns), 1, len(self.at) - 1)
-        step = (self.at[after] - self.at[after - 1]).astype(float)
-        share = ((times_ns - self.at[after - 1]) / step)[:, None]
+        after = np.clip(np.searchsorted(self.time_ns, times_ns), 1, len(self.time_ns) - 1)
+        step = (self.time_ns[after] - self.time_ns[after - 1]).astype(float)
+        share = ((times_ns - self.time_ns[after - 1]) / step)[:, None]
         known = (share >= 0) & (share <= 1)
         known &= (step <= self.gap_ns)[:, None] | (share == 0) | (share == 1)
         found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
@@ -373,7 +373,7 @@ class PoseTable:
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None if either pose is not known."""
-        before, now = self._at(before_ns), self._at(now_ns)
+        before, now = self._pose_at(before_ns), self._pose_at(now_ns)
         if before is None or now is None:
             return None
         pan_deg, right, ahead = (now - before).tolist()
@@ -381,12 +381,12 @@ class PoseTable:
         cos, sin = math.cos(heading), math.sin(heading)
         return Motion(pan_deg, right * cos - ahead * sin, right * sin + ahead * cos)
 
-    def place(self, time_ns: int, right_m: float, ahead_m: float) -> tuple[float, float] | None:
-        """(x, y) in m, in the table's own axes, of a place right_m to the right and ahead_m ahead.
+    def position(self, time_ns: int, right_m: float, ahead_m: float) -> tuple[float, float] | None:
+        """(x, y) in m, in the table's own axes, of a point right_m to the right and ahead_m ahead.
 
         None if the pose is not known.
         """
-        pose = self._at(time_ns)
+        pose = self._pose_at(time_ns)
         if pose is None:
             return None
         yaw_deg, x, y = pose.tolist()
@@ -394,22 +394,22 @@ class PoseTable:
         right, ahead = x + right_m * cos + ahead_m * sin, y - right_m * sin + ahead_m * cos
         return (ahead, -right) if self.axes == "ahead, left" else (right, ahead)
 
-    def _at(self, time_ns: int) -> FloatArray | None:
+    def _pose_at(self, time_ns: int) -> FloatArray | None:
         """(3,) the pose at a time; None if not known."""
-        (pose,) = self.at_times(np.array([time_ns]))
+        (pose,) = self.poses_at(np.array([time_ns]))
         return None if np.isnan(pose).any() else pose
 
 
 def pose_table(
     name: str,
     source: Mapping[str, str],
-    at: IntArray,
+    time_ns: IntArray,
     yaw_deg: FloatArray,
     x_m: FloatArray,
     y_m: FloatArray,
 ) -> PoseTable:
     """A PoseTable of poses at two times or more, in any order; of several at one time the first
     counts."""
-    at, first = np.unique(at, return_index=True)
+    time_ns, first = np.unique(time_ns, return_index=True)
     pose = np.column_stack([np.unwrap(yaw_deg[first], period=360), x_m[first], y_m[first]])
-    return PoseTable(name, source, at, pose, POSE_GAP * float(np.median(np.diff(at))))
+    return PoseTable(name, source, time_ns, pose, POSE_GAP * float(np.median(np.diff(time_ns))))

@@ -13,9 +13,9 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError, UsageError, as_usage
 from sonarrec.tables.toml import (
+    Integer,
     Positive,
     Share,
-    Whole,
     brief,
     from_table,
     length,
@@ -76,17 +76,17 @@ class LandmarkSet:
         return np.asarray(np.where(ring, 1.0, np.where(symbol, on, 0.0)))
 
     def periods_deg(self) -> FloatArray:
-        """(K,) the smallest turn, deg, after which each ID's symbol looks the same; mostly 360.
+        """(K,) the smallest rotation, deg, after which each ID's symbol looks the same; mostly 360.
 
         NaN for a symbol that is all bright or all dark: it has no orientation.
         """
         count = len(self.sectors[0])
-        turns = [
+        steps = [
             next(n for n in range(1, count + 1) if code[n:] + code[:n] == code)
             for code in self.sectors
         ]
-        plain = [len(set(code)) == 1 for code in self.sectors]
-        return np.where(plain, np.nan, np.asarray(turns, dtype=float) * (360 / count))
+        uniform = [len(set(code)) == 1 for code in self.sectors]
+        return np.where(uniform, np.nan, np.asarray(steps, dtype=float) * (360 / count))
 
     def as_table(self) -> dict[str, Any]:
         """The set as plain TOML values, as load_landmarks reads them."""
@@ -127,11 +127,11 @@ class DrawnSet(LandmarkSet):
         return np.asarray(np.where(within, cell, 0.0))
 
     def periods_deg(self) -> FloatArray:
-        turns = [
+        quarters = [
             next(n for n in (1, 2, 4) if np.array_equal(np.rot90(drawing, n), drawing))
             for drawing in self.drawings()
         ]
-        return np.asarray(turns, dtype=float) * 90
+        return np.asarray(quarters, dtype=float) * 90
 
     def as_table(self) -> dict[str, Any]:
         rows = [["".join(map(str, row)) for row in cells] for cells in self.cells]
@@ -149,7 +149,7 @@ class DrawnSet(LandmarkSet):
 class _Row:
     """One [[landmark]] of a file."""
 
-    id: Whole
+    id: Integer
     sectors: Annotated[tuple[Literal[0, 1], ...], length(1, 360)]
 
 
@@ -168,14 +168,14 @@ class _LandmarkSetFile:
 class _Drawing:
     """One [[landmark]] of a drawn set's file."""
 
-    id: Whole
+    id: Integer
     cells: tuple[str | tuple[Literal[0, 1], ...], ...] = ()
     image: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class _DrawnSetFile:
-    """A set of drawn plates as its file states it. family, ids: taken from a built-in set. cells,
+    """A set of drawn plates as its file states it. family, ids: those of a built-in set. cells,
     codes: words in hex, whose bits stand in the cells marked ?, for IDs from 0 on."""
 
     name: str
@@ -185,18 +185,32 @@ class _DrawnSetFile:
     cells: tuple[str, ...] = ()
     codes: str = ""
     family: str = ""
-    ids: tuple[Whole, ...] | None = None
+    ids: tuple[Integer, ...] | None = None
     mirrored: Hand = "either"
     pose: PlatePose = "free"
 
 
-def load_landmarks(source: str | Path, beside: str | Path = "") -> LandmarkSet:
-    """Read a landmark set: the name of a built-in one ("basin"), a TOML file, or a run.toml.
+def load_landmarks(source: str | Path, named_in: str | Path = "") -> LandmarkSet:
+    """Read a landmark set.
 
-    beside: the file that names it; a relative path may begin in its folder. Raises UsageError if
-    the file is missing or does not describe a landmark set.
+    Parameters
+    ----------
+    source : str or Path
+        The name of a built-in set, such as "basin", a TOML file, or the run.toml of a run.
+    named_in : str or Path, optional
+        The file that names `source`: a relative path may begin in its folder.
+
+    Returns
+    -------
+    LandmarkSet
+        Lengths in metres; a DrawnSet for plates.
+
+    Raises
+    ------
+    UsageError
+        The file is missing, or does not describe a landmark set.
     """
-    path = named_file(source, BUILT_IN) or named_file(Path(beside).parent / source, BUILT_IN)
+    path = named_file(source, BUILT_IN) or named_file(Path(named_in).parent / source, BUILT_IN)
     if path is None:
         built_in = ", ".join(sorted(p.stem for p in BUILT_IN.glob("*.toml")))
         raise UsageError(
@@ -225,24 +239,24 @@ def landmarks_from_table(table: object, where: str) -> LandmarkSet:
         raise SonarrecError(f"{where}: the symbol must end where the ring begins, or before")
     if len({len(s) for s in sectors}) > 1:
         raise SonarrecError(f"{where}: sectors must be equally many for every ID")
-    turned = [min(row[n:] + row[:n] for n in range(len(row))) for row in sectors]
-    _check_distinct(ids, turned, "pattern turned", where)
+    patterns = [min(row[n:] + row[:n] for n in range(len(row))) for row in sectors]
+    _check_distinct(ids, patterns, "pattern rotated", where)
     return LandmarkSet(stated.name, stated.radius_m, stated.ring, stated.symbol, ids, sectors)
 
 
-def _check_distinct(ids: Sequence[int], looks: Sequence[object], same: str, where: str) -> None:
-    """Raise SonarrecError unless every ID is another, and looks different.
+def _check_distinct(ids: Sequence[int], patterns: Sequence[object], same: str, where: str) -> None:
+    """Raise SonarrecError if two IDs, or the patterns of two IDs, are equal.
 
-    same: names what is equal.
+    same: names in the message what is equal.
     """
     if not ids or len(set(ids)) < len(ids):
         raise SonarrecError(f"{where}: every [[landmark]] needs an id, a whole number of its own")
     first: dict[object, int] = {}
-    for number, look in zip(ids, looks, strict=True):
-        if (other := first.setdefault(look, number)) != number:
+    for number, pattern in zip(ids, patterns, strict=True):
+        if (other := first.setdefault(pattern, number)) != number:
             raise SonarrecError(
-                f"{where}: IDs {other} and {number} are the same {same}, so no image can tell "
-                "them apart"
+                f"{where}: IDs {other} and {number} are the same {same}, so no image can "
+                "distinguish them"
             )
 
 
@@ -275,9 +289,9 @@ def _drawn_from_table(table: dict[str, Any], where: str) -> DrawnSet:
         if drawing.all() or not drawing.any():
             raise SonarrecError(f"{where}: the drawing of ID {number} is all of one kind")
     hand, half, none = stated.mirrored, stated.size_m / 2, (0.0, 0.0)
-    looks = [(len(d), min(view.tobytes() for view in views(d, hand))) for d in drawings]
-    how = "turned or mirrored (state mirrored)" if hand == "either" else "turned"
-    _check_distinct(ids, looks, f"drawing {how}", where)
+    patterns = [(len(d), min(view.tobytes() for view in views(d, hand))) for d in drawings]
+    how = "rotated or mirrored (state mirrored)" if hand == "either" else "rotated"
+    _check_distinct(ids, patterns, f"drawing {how}", where)
     cells = tuple(tuple(map(tuple, d.astype(int).tolist())) for d in drawings)
     return DrawnSet(stated.name, half, none, none, ids, (), cells, hand, stated.pose)
 
@@ -299,9 +313,9 @@ def _of_codes(stated: _DrawnSetFile, where: str) -> tuple[_Drawing, ...]:
 
 
 def views(drawing: BoolArray, mirrored: Hand) -> list[BoolArray]:
-    """The drawing in every quarter turn and hand in which it may show."""
+    """The drawing at every rotation by 90 degrees and in each hand in which it may show."""
     hands = {"no": [drawing], "yes": [drawing[:, ::-1]], "either": [drawing, drawing[:, ::-1]]}
-    return [np.rot90(hand, turn) for hand in hands[mirrored] for turn in range(4)]
+    return [np.rot90(hand, quarters) for hand in hands[mirrored] for quarters in range(4)]
 
 
 def _drawing(row: _Drawing, where: str) -> BoolArray:

@@ -122,7 +122,7 @@ class Frame:
 
     @property
     def image(self) -> ByteImage:
-        """The fan image, (fan.rows, fan.columns) uint8; made anew each time of polar pixels."""
+        """The fan image, (fan.rows, fan.columns) uint8; of polar pixels it is made at each call."""
         return self.pixels if self.polar is None else self.polar(self.pixels)
 
 
@@ -130,9 +130,9 @@ class Frame:
 class Motion:
     """How the sonar moved from one frame to the next.
 
-    pan_deg: how far it turned, positive to the right. right_m, ahead_m: how far it moved, in the
-    directions that were right and ahead before. The sigmas: their standard errors; 0 if poses are
-    given. known: False if the motion was not measured; then sigmas are wide.
+    pan_deg: by how much its heading changed, positive to the right. right_m, ahead_m: how far it
+    moved, in the directions that were right and ahead before. The sigmas: their standard errors; 0
+    if poses are given. known: False if the motion was not measured; then sigmas are wide.
     """
 
     pan_deg: float
@@ -169,7 +169,7 @@ class Groups:
     numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
     spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sight_deg:
     (n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object has
-    turned over the floor since the track began; 0 if the sonar only pans. in_view: (n,) whether
+    rotated over the floor since the track began; 0 if the sonar only pans. in_view: (n,) whether
     enough of the disc is inside the fan (continuity.least_in_view); one that comes in shows less at
     first. remembered: (m,) numbers of those that left the view and may return.
     """

@@ -18,7 +18,7 @@ from sonarrec.records import Clock
 # KNOWN_STEPS steps: a sonar that sends in bursts, or a slow one, has no pauses.
 LEAST_PAUSE_NS, PAUSE_STEPS, KNOWN_STEPS = 2 * 10**9, 10, 10
 CLEARLY_BACK_NS = 10**9
-"""Threads of a recorder may swap frames, but not those so far apart."""
+"""Threads of a recorder may swap frames, but not over a longer time."""
 YEAR_NS = 31_556_952 * 10**9
 HOUR_NS = 3_600 * 10**9
 NEAR_NS = 2 * 10**9  # of an hour, in which a log ends whose clock was set back by one

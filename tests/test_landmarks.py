@@ -87,7 +87,7 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
         ),
         (
             {"landmark": [{"id": 1, "sectors": [1, 0, 0]}, {"id": 2, "sectors": [0, 0, 1]}]},
-            "IDs 1 and 2 are the same pattern turned",
+            "IDs 1 and 2 are the same pattern rotated",
         ),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import operator
 import re
 import shutil
 import subprocess
@@ -45,6 +47,19 @@ def test_every_name_is_there_and_no_other() -> None:
         assert getattr(sonarrec, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'recognise'"):
         _ = sonarrec.recognise
+
+
+@pytest.mark.parametrize("name", [*sorted(NAMES), "Recogniser.recognise"])
+def test_docstrings_list_parameters_results_and_errors(name: str) -> None:
+    """In numpy's form, each parameter of the signature on a line of its own."""
+    function = operator.attrgetter(name)(sonarrec)
+    sections = re.split(r"\n(\w+)\n-+\n", f"\n{inspect.getdoc(function)}")
+    text = dict(zip(sections[1::2], sections[2::2], strict=True))
+    result = {"Recogniser": set(), "Recogniser.recognise": {"Yields"}}.get(name, {"Returns"})
+    assert {*text} == {"Parameters", "Raises", *result}
+    listed = re.findall(r"^(\S.*?)(?: : .+)?$", text["Parameters"], re.MULTILINE)
+    stated = [one.lstrip("*") for line in listed for one in line.split(", ")]
+    assert stated == [one for one in inspect.signature(function).parameters if one != "self"]
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 from click.testing import Result
 
 from sonarrec import run
-from sonarrec.cli.endings import finish, tell
+from sonarrec.cli.endings import finish, print_notes
 from sonarrec.results.run_file import read_run
 from tests.support.batch import made
 from tests.support.command import SAMPLE, on_a_terminal, sample_log, sonarrec
@@ -226,7 +226,7 @@ def test_what_is_wrong_comes_first_and_notes_are_few(capsys: pytest.CaptureFixtu
     assert printed.out == "done\n"
     notes = [f"sonarrec: note: {n}" for n in range(1, 6)]
     assert printed.err.splitlines() == [*notes, "sonarrec: 2 more notes"]
-    tell(["wrong", "wrong"], ["why"])
+    print_notes(["wrong", "wrong"], ["why"])
     assert capsys.readouterr().err == "sonarrec: wrong\nsonarrec: note: why\n"
 
 

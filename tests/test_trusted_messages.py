@@ -116,7 +116,7 @@ def test_a_fan_turned_by_mistake_is_told_to_be_turned_back(here: Path) -> None:
     with (log / "sonar.toml").open("a") as file:
         file.write('range_order = "near_first"\n')
     told = sonarrec("run", log, "-q").stderr
-    assert "none if it is turned upside down: --range-order far_first" in told
+    assert "none once it is upside down: try --range-order far_first" in told
     (preview,) = [words for words in commands(told) if "--preview" in words][:1]
     done = sonarrec(*preview)
     assert Path(preview[-1]).read_bytes()[:4] == b"\x89PNG"
@@ -366,7 +366,7 @@ def test_a_radius_that_is_clearly_wrong_is_told(here: Path, log: str) -> None:
         with open_log(SAMPLES / log) as opened:
             sizes = RingSizes(_set("own.toml"))
             for frame in opened:
-                sizes.look(frame)
+                sizes.inspect(frame)
         found = sizes.other()
         assert (found is None) == (radius == 0.15)
         if found is not None:
@@ -412,7 +412,7 @@ def test_right_radii_of_others_recordings_are_not_doubted() -> None:
         with open_log(folder) as opened:
             sizes = RingSizes(_set("basin"))
             for frame in opened:
-                sizes.look(frame)
+                sizes.inspect(frame)
         assert sizes.other() is None, folder
         tried += 1
     assert tried >= 10

@@ -1,9 +1,10 @@
-"""What pages and messages are written in: no word that has a better one, and no long message."""
+"""What pages, messages and code are written in: no word that has a better one, no long message."""
 
 from __future__ import annotations
 
 import ast
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,9 +15,50 @@ LONGEST_NOTE = 160
 VALUE = "x" * 8  # in place of what a message is filled with
 TOLD = {
     *("SonarrecError", "UsageError", "MissingError", "UnusableError", "DamagedError"),
-    *("note", "problem", "fault", "tell", "inform", "skip"),
+    *("note", "problem", "fault", "print_notes", "inform", "skip"),
 }
 """Who says a message to the user: errors, and what takes lines for the terminal."""
+
+REFUSED = {
+    "turn turns turned": "rotation, rotated; yaw of a vehicle, shift of a pan",
+    "place places": "position, pixel, index; of files: path, folder",
+    "away": "distance, offset",
+    "beside": "neighbours, adjacent; of files: sibling",
+    "alike": "similar, equal; correlation",
+    "apart": "separation, distinct",
+    "anew": "again, new",
+    "tell tells told": "report, diagnostics, notes, lines",
+    "put puts": "send, write, set",
+    "take takes taken taking": "read, receive, select, used",
+    "look looks looked": "view, frames, inspect, appearance; style of a plot",
+    "laid": "composite, layout",
+    "unlike": "differing, other",
+    "thing things": "object, objects",
+    "begun": "started",
+    "served": "shown",
+    "settled": "rounded, fixed, converged",
+    "earned": "enough_evidence",
+    "enlarge enlarged": "upsample, upsampled",
+    "shrink shrunk": "downsample, downsampled, reduced",
+    "whole": "complete, full, contiguous; integer of numbers",
+    "carry carried": "apply_motion, moved, predicted",
+    "pull pulled": "moved_off_prediction; strength of a prior",
+    "strike strikes": "count_misses, misses",
+    "shows": "visible_share, visible",
+    "born": "new",
+    "forget forgot forgotten": "drop, dropped",
+}
+"""Parts of the names in code, and what is used in place of them."""
+KEYS = {
+    "config": {"alike_radii", "strikes", "count_strikes"},
+    "run_file": {"place"},
+    "scene": {"turned_deg"},
+    "model": {"at"},
+}
+"""By module, the fields named as the keys of files that users have."""
+VAGUE = re.compile(r"\b(told|beside|apart|away|alike|turned|places|anew)\b", re.IGNORECASE)
+MOST_VAGUE = 8
+"""So many of these words stay in comments, docstrings and messages, where English has no other."""
 
 
 def banned() -> list[str]:
@@ -70,3 +112,54 @@ def test_messages_are_short_and_no_text_has_a_word_that_has_a_better_one() -> No
     ]
     word = re.compile(rf"\b({'|'.join(banned())})\b")
     assert not [(where, word.search(text)) for where, text in [*prose, *told] if word.search(text)]
+
+
+def names_in(path: Path) -> Iterator[tuple[str, int]]:
+    """(name, line) of all that a module defines, and its own name; no uses, no keys of files."""
+    yield path.stem, 1
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    keys = {
+        field.target
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for field in node.body
+        if isinstance(field, ast.AnnAssign)
+        and getattr(field.target, "id", "") in KEYS.get(path.stem, ())
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.name, node.lineno
+        elif isinstance(node, ast.arg):
+            yield node.arg, node.lineno
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            if node not in keys:
+                yield getattr(node, "id", getattr(node, "attr", "")), node.lineno
+        elif isinstance(node, ast.alias | ast.ExceptHandler):
+            name = node.asname if isinstance(node, ast.alias) else node.name
+            yield name or "", node.lineno
+
+
+def test_names_are_the_fields() -> None:
+    """Every part of each name, also of those in capitals: `sight_turned`, `TURNED_DEG`."""
+    better = {word: use for words, use in REFUSED.items() for word in words.split()}
+    found = []
+    for path in sorted((ROOT / "sonarrec").rglob("*.py")):
+        for name, line in names_in(path):
+            parts = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
+            bad = [part for part in parts if part in better]
+            bad += ["at"] * (name.strip("_") == "at")
+            where = f"{path.relative_to(ROOT)}:{line}: {name}"
+            found += [f"{where}: use {better.get(part, 'index, position')}" for part in bad]
+    assert not found, "\n".join(found)
+
+
+def test_vague_words_are_rare() -> None:
+    found = []
+    for path in sorted((ROOT / "sonarrec").rglob("*.py")):
+        with tokenize.open(path) as file:
+            for token in tokenize.generate_tokens(file.readline):
+                kind = tokenize.tok_name[token.type]
+                if kind in ("COMMENT", "STRING", "FSTRING_MIDDLE"):
+                    where = f"{path.relative_to(ROOT)}:{token.start[0]}"
+                    found += [f"{where}: {word}" for word in VAGUE.findall(token.string)]
+    assert len(found) <= MOST_VAGUE, "\n".join(found)

@@ -17,11 +17,11 @@ from sonarrec.cli.endings import (
     TERMINATED,
     Terminated,
     code_of,
-    tell,
+    print_notes,
     terminable,
 )
 from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, hidden, is_url, name_as_text
+from sonarrec.errors import SonarrecError, is_url, name_as_text, redact_urls
 from sonarrec.records import VERSION
 
 COMMANDS = (
@@ -61,24 +61,24 @@ class _Program(click.Group):
             with terminable():
                 return super().invoke(ctx)
         except click.ClickException as error:
-            error.message = hidden(error.message, typed)  # type: ignore[misc]
+            error.message = redact_urls(error.message, typed)  # type: ignore[misc]
             raise
         except SonarrecError as error:
-            tell([str(error)])
+            print_notes([str(error)])
             ctx.exit(code_of(error))
         except KeyboardInterrupt as error:
-            tell(["stopped"])
+            print_notes(["stopped"])
             ctx.exit(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
         except OSError as error:
             name = "" if error.filename is None else f"{name_as_text(error.filename)}: "
             if name or error.errno == errno.ENOENT:  # no permission, or no temporary folder
-                tell([f"{name}{error.strerror}"])
+                print_notes([f"{name}{error.strerror}"])
                 ctx.exit(1)
             if error.errno not in UNWRITTEN:
                 raise
             # Errors of files have a file name, so this is stdout. Its buffer goes to the null
             # device, where writing cannot fail again.
-            tell([f"stdout: cannot be written ({error.strerror})"])
+            print_notes([f"stdout: cannot be written ({error.strerror})"])
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             ctx.exit(1)
 

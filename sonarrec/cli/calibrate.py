@@ -15,9 +15,7 @@ from sonarrec.errors import as_usage
 
 @command(short_help="Learn from labelled logs how landmarks look.")
 @click.argument("log", shell_complete=file_names, nargs=-1, required=True)
-@options.ground_truth(
-    "gt.csv with positions, in place of the NAME.gt.csv or gt.csv beside each log."
-)
+@options.ground_truth("gt.csv with positions, in place of each log's own NAME.gt.csv or gt.csv.")
 @options.reading(time=True)
 @options.landmarks
 @options.settings
@@ -35,9 +33,9 @@ def calibrate(
     """Learn from LOG, whose landmarks are labelled, how landmarks look to this sonar.
 
     The model distinguishes each landmark from the others and from "none of these". It starts from
-    the built-in model; a few hundred labelled frames adapt it. Truth is found beside each LOG, or
-    given; one for several LOGs needs a log column. Frames without a row count as frames without a
-    landmark, except where a track lies on a landmark before or after.
+    the built-in model; a few hundred labelled frames adapt it. Truth is the gt.csv next to each
+    LOG, or is given; one for several LOGs needs a log column. Frames without a row count as
+    frames without a landmark, except where a track lies on a landmark before or after.
 
     \b
     Examples:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import PARTLY, WORSE, leave, say, tell
+from sonarrec.cli.endings import PARTLY, WORSE, leave, print_notes, say
 from sonarrec.cli.groups import (
     FOLDER,
     command,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sonarrec.runs.job import Job
 
 
-@command(short_help="Run logs anew and compare with their results on record (for CI).")
+@command(short_help="Run logs again and compare with their results on record (for CI).")
 @click.argument(
     "file",
     type=click.Path(path_type=Path),
@@ -90,7 +90,7 @@ def check(
         ]
         logs = [log for log in logs if log not in (*new, *nameless)]
         again = f"{command_line('check', file, '--update')} records them; then commit them"
-        tell(
+        print_notes(
             f"{one.record / log.name}: run.toml does not say of which log these results are; not "
             f"compared; {again}"
             for log in nameless
@@ -99,14 +99,14 @@ def check(
             leave(WORSE)
         if not logs:
             raise UsageError(f"{one.record}: no results on record yet; {again}")
-        tell(
+        print_notes(
             f"{log.name}: no results on record in {one.record}, not compared; {again}"
             for log in new
         )
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-check-")))
-        new_place, old_place = folder.resolve(), one.record.resolve()
-        if new_place.is_relative_to(old_place) or old_place.is_relative_to(new_place):
+        new_path, old_path = folder.resolve(), one.record.resolve()
+        if new_path.is_relative_to(old_path) or old_path.is_relative_to(new_path):
             raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
         logs, partial = _run(_jobs(one, logs, settings, folder), logs, jobs, quiet, update)
         worse = list[str]()
@@ -114,19 +114,19 @@ def check(
             of_set = _compare(one, logs, one.record, folder)
         except SonarrecError as error:
             if not update:
-                again = f"{command_line('check', file, '--update')} records the results anew"
+                again = f"{command_line('check', file, '--update')} records new results"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
             new_alone = _compare(one, logs, folder, folder)  # raises if no truth can be used
             unused = [line for compared in new_alone.values() for line in compared.unused]
-            tell(unused)
+            print_notes(unused)
             partial = partial or bool(unused)
         else:
             for name, compared in of_set.items():
-                judged, place = _judge(one, compared, limits), out and below(out, "evaluation")
+                judged, target = _judge(one, compared, limits), out and below(out, "evaluation")
                 if len(of_set) > 1:
-                    place = place and place / name
+                    target = target and target / name
                     say(*[f"landmarks {name}"] * (not quiet))
-                _print(judged, compared, place, quiet)
+                _print(judged, compared, target, quiet)
                 partial = partial or bool(compared.unused or (new and not update))
                 worse += [] if update else judged.faults
         if update:
@@ -144,13 +144,13 @@ def _jobs(
     file = one.file
     chosen = options.SettingsChoice(
         settings.preset or file.preset,
-        settings.config_file or one.beside(file.config),
+        settings.config_file or one.path_to(file.config),
         (*file.set, *settings.assignments),
     )
-    configs, model = chosen.configs(), one.beside(file.model)
+    configs, model = chosen.configs(), one.path_to(file.model)
     run_options = RunOptions(configs, one.landmarks, model, chosen.config_file)
     run_options.check()
-    # Anew in any case: it is the program that may have changed, not the settings.
+    # Run in any case: it is the program that may have changed, not the settings.
     return [
         Job(log.path, log.name, str(out), log.options, run_options, overwrite=True) for log in logs
     ]
@@ -186,7 +186,7 @@ def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> 
         if proposed := unchecked(table, log.name):
             raise SonarrecError(f"nothing is recorded: {proposed}")
     notes = save(folder, one.record, logs)
-    tell([], notes)
+    print_notes([], notes)
     if not quiet:
         size = sum(f.stat().st_size for f in one.record.rglob("*") if f.is_file())
         say(
@@ -224,10 +224,10 @@ def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: boo
     """Print the judgement and, if the results are kept, write the comparison's files into `out`."""
     from sonarrec.evaluation.compare import screen, write_comparison
 
-    tell(compared.unused)
+    print_notes(compared.unused)
     files = () if out is None else write_comparison(out, compared)
     if quiet:
-        tell([judged.sentence] if judged.faults else [])
+        print_notes([judged.sentence] if judged.faults else [])
         return
     click.echo(screen(compared, judged))
     lines = [f"note: {note}" for note in compared.notes]

@@ -48,7 +48,7 @@ def inform(line: str) -> None:
         click.echo(f"sonarrec: {printable(line)}", err=True)
 
 
-def tell(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
+def print_notes(problems: Iterable[str], notes: Iterable[str] = ()) -> None:
     """Print problems, then at most MOST_NOTES notes, on stderr, none twice. If stderr fails, ignore
     it."""
     different = [*dict.fromkeys(notes)]
@@ -65,10 +65,10 @@ def finish(
     quiet: bool, results: Iterable[str], problems: Collection[str] = (), notes: Iterable[str] = ()
 ) -> None:
     """Print what is wrong, the results unless quiet, and notes; leave with PARTLY if problems."""
-    tell(problems)
+    print_notes(problems)
     if not quiet:
         say(*results)
-    tell((), notes)
+    print_notes((), notes)
     if problems:
         leave(PARTLY)
 
@@ -79,7 +79,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM raises Terminated, so that what is half done is put away."""
+    """SIGTERM raises Terminated, so that unfinished outputs are removed."""
 
     def stop(*_: object) -> None:
         raise Terminated
@@ -113,8 +113,8 @@ def progress(
 
     # With a file descriptor of its own: readers redirect that of stderr while they decode.
     terminal = os.fdopen(os.dup(sys.stderr.fileno()), "w", encoding=sys.stderr.encoding)
-    look = {"desc": title, "unit": unit, "leave": False, "delay": 1e-3}  # none without a step
-    with terminal, tqdm(total=total, file=terminal, **look) as bar:
+    style = {"desc": title, "unit": unit, "leave": False, "delay": 1e-3}  # none without a step
+    with terminal, tqdm(total=total, file=terminal, **style) as bar:
 
         def step(total: int | None = None, by: int = 1) -> None:
             bar.total = bar.total if total is None else total

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, say, tell
+from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, print_notes, say
 from sonarrec.cli.groups import ANY, command, in_output
 from sonarrec.errors import UsageError, number_of
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @command(short_help="Score results against ground truth, or compare them.")
 @click.argument("results", type=ANY, required=False)
-@options.ground_truth("gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.")
+@options.ground_truth("gt.csv, in place of each log's own NAME.gt.csv or gt.csv.")
 @options.pairs
 @options.compare("What got better or worse from OLD to NEW, in place of RESULTS.")
 @options.limits
@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Print evaluation.json, and nothing else, on stdout.",
 )
-@options.out(ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or beside PAIRS]")
+@options.out(
+    ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or next to PAIRS]"
+)
 @options.quiet
 def evaluate(
     results: Path | None,
@@ -53,8 +55,9 @@ def evaluate(
     """Score RESULTS against ground truth: rates, ROC, intervals and tests.
 
     RESULTS is the folder of one log, or one that holds several (default: sonarrec_out). Truth is
-    found beside each log, or given. Files go to RESULTS/evaluation. Intervals and tests treat whole
-    passes of a landmark through the view, or whole logs, as independent; never frames.
+    the gt.csv next to each log, or is given. Files go to RESULTS/evaluation.
+    Intervals and tests treat whole passes of a landmark through the view, or whole logs, as
+    independent; never frames.
 
     \b
     Examples:
@@ -78,7 +81,7 @@ def evaluate(
     from sonarrec.tables.outputs import below
 
     folder_of_logs = results or Path("sonarrec_out")
-    beside = folder_of_logs if pairs is None else pairs.parent
+    parent = folder_of_logs if pairs is None else pairs.parent
     truth = ground_truth if pairs is None else read_pairs(pairs)
     worse: Sequence[str]
     if compare is not None:
@@ -102,12 +105,12 @@ def evaluate(
             None if isinstance(truth, list) else truth,
             scoring,
         )
-        notes, unused, folder = scored.notes, scored.unused, out or below(beside, "evaluation")
+        notes, unused, folder = scored.notes, scored.unused, out or below(parent, "evaluation")
         files = write_evaluation(folder, scored)
         worse = limits.broken(scored.counts)
         document = json_text(scored) if as_json else ""
         shown = screen(scored, details) + "\n"
-    tell(unused)
+    print_notes(unused)
     if as_json:
         click.echo(document, nl=False)
     elif not quiet:
@@ -117,6 +120,6 @@ def evaluate(
             notes = (*notes[:MOST_NOTES], f"and {number_of(more, 'more note')}; see --details")
         lines = (f"note: {note}" for note in notes)
         say(*lines, f"{folder}: {', '.join(files)}")
-    tell(worse)
+    print_notes(worse)
     if code := WORSE if worse else PARTLY if unused else 0:
         leave(code)

@@ -14,7 +14,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.errors import UsageError, local
+from sonarrec.errors import UsageError, refuse_url
 
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
@@ -44,7 +44,7 @@ def _readable(value: Any) -> Any:
     """The name of a file to read; URLs and pipes are refused."""
     from sonarrec.tables import refuse_pipe
 
-    refuse_pipe(Path(local(value)))
+    refuse_pipe(Path(refuse_url(value)))
     return value
 
 
@@ -52,7 +52,7 @@ class _Local(click.Path):
     """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
     def convert(self, value: Any, *context: Any) -> Any:
-        return super().convert(_readable(value) if self.exists else local(value), *context)
+        return super().convert(_readable(value) if self.exists else refuse_url(value), *context)
 
 
 class ListFile(click.File):
@@ -104,8 +104,8 @@ class GroupedCommand(click.Command):
         except click.NoSuchOption as error:
             if not (advice := advice_on(error.option_name)):
                 raise
-            told = f"{error.message} {advice}"
-            raise click.NoSuchOption(error.option_name, told, ctx=ctx) from None
+            message = f"{error.message} {advice}"
+            raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}

@@ -18,18 +18,18 @@ from sonarrec.cli.endings import (
     code_of_all,
     inform,
     leave,
+    print_notes,
     progress,
     say,
-    tell,
 )
 from sonarrec.cli.groups import NEW_FILE, command, file_names, in_input, in_output
 from sonarrec.errors import (
     SonarrecError,
     UsageError,
     command_line,
-    local,
     name_as_text,
     number_of,
+    refuse_url,
 )
 from sonarrec.records import date_text, is_date
 
@@ -94,7 +94,7 @@ def info(
     from sonarrec.tables.outputs import check_output
 
     logs = options.named_logs(log, from_file, recursive)
-    names = [local(one.path) for one in logs]
+    names = [refuse_url(one.path) for one in logs]
     for option, file in (("--preview", preview), ("--write-sonar", write_sonar)):
         if file is not None and len(logs) > 1:
             raise UsageError(f"{option} {file}: for one log, but {len(logs)} are given")
@@ -111,7 +111,7 @@ def info(
             with progress(quiet) as step:
                 found = describe(one.path, **reading, up_to=one.up_to, quick=quick, observe=step)
         except SonarrecError as error:
-            tell([str(error)])
+            print_notes([str(error)])
             documents.append({"path": name, "error": str(error)})
             codes.append(code_of(error))
             continue
@@ -162,7 +162,7 @@ def lines(info: LogInfo) -> list[str]:
     name = f"{Path(info.path).name}: "
     out = [
         f"{info.path}: {kind}, {size}",
-        *_entry("whole", _whole(info)),
+        *_entry("whole", _completeness(info)),
         *_entry("faults", [fault.removeprefix(name) for fault in info.faults]),
         *_entry("problems", [line for images in info.images for line in images.problems]),
     ]
@@ -184,7 +184,7 @@ def _entry(name: str, texts: Iterable[str]) -> list[str]:
     return [f"  {name if n == 0 else '':<10}{text}" for n, text in enumerate(filter(None, texts))]
 
 
-def _whole(info: LogInfo) -> Iterator[str]:
+def _completeness(info: LogInfo) -> Iterator[str]:
     """Whether an MCAP or a bag is complete."""
     if info.container is None:
         return

@@ -1,4 +1,4 @@
-"""`sonarrec landmarks`: whether the IDs of a landmark set can be told apart."""
+"""`sonarrec landmarks`: how well the IDs of a landmark set can be distinguished."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pathlib import Path
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import say, tell
+from sonarrec.cli.endings import print_notes, say
 from sonarrec.cli.groups import NEW_FILE, FiniteRange, command, file_names, in_geometry
 from sonarrec.errors import UsageError, number_of
 
 
-@command(short_help="Show a landmark set, and whether its IDs can be told apart.")
+@command(short_help="Show a landmark set, and how much its IDs differ.")
 @click.argument("landmark_set", metavar="SET", default="basin", shell_complete=file_names)
 @in_geometry(
     "--distance distance_m",
@@ -42,11 +42,11 @@ def landmarks(
     out: Path | None,
     quiet: bool,
 ) -> None:
-    """Print how far the IDs of a landmark set are apart, and what makes them hard to recognise.
+    """Print how much the IDs of a landmark set differ, and what makes them hard to recognise.
 
-    SET is a TOML file or a built-in name (default: basin). Two IDs are as far apart as the share of
-    the symbol's area (of a drawn plate's cells) in which they differ, at the rotation at which they
-    differ least: as drawn, and as seen by a sonar whose beams smear them.
+    SET is a TOML file or a built-in name (default: basin). The difference of two IDs is the share
+    of the symbol's area (of a drawn plate's cells) in which they differ, at the rotation at which
+    they differ least: as drawn, and as seen by a sonar whose beams smear them.
 
     \b
     Examples:
@@ -94,4 +94,4 @@ def landmarks(
             say(f"  {ids:<12} {shown(d.drawn):>8}  {d.seen:>8.2f}")
         if out is not None:
             say(f"{out}: drawn")
-    tell([], [f"{landmark_set}: {warning}" for warning in warnings])
+    print_notes([], [f"{landmark_set}: {warning}" for warning in warnings])

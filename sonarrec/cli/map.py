@@ -93,5 +93,5 @@ def map_(
         folders, odometry, errors, method, landmarks=landmarks, sonar=sonar, min_frames=min_frames
     )
     write_all(out, site, on_earth)
-    told = [f"{out}: {number_of(site.count, 'log')}", *(f"  {line}" for line in lines(site))]
-    finish(quiet, told, site.diagnostics.problems, site.diagnostics.notes)
+    summary = [f"{out}: {number_of(site.count, 'log')}", *(f"  {line}" for line in lines(site))]
+    finish(quiet, summary, site.diagnostics.problems, site.diagnostics.notes)

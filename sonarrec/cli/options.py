@@ -112,8 +112,7 @@ topic = in_input("--topic", help="Image channel of an MCAP or bag that has sever
 _SONAR_FILE = in_input(
     "--sonar sonar_file",
     type=FILE,
-    help="Geometry file, or the run.toml of an earlier run, in place of the sonar.toml beside the "
-    "log.",
+    help="Geometry file, or the run.toml of an earlier run, in place of the log's own sonar.toml.",
 )
 _TIME = in_input(
     "--time",
@@ -132,8 +131,8 @@ GEOMETRY_TEXTS = {
 }
 
 
-def _choice(key: str, choices: str, text: str, **look: Any) -> Decorator:
-    return in_geometry(_flag(key), type=click.Choice(choices.split()), help=text, **look)
+def _choice(key: str, choices: str, text: str, **attributes: Any) -> Decorator:
+    return in_geometry(_flag(key), type=click.Choice(choices.split()), help=text, **attributes)
 
 
 def _flag(key: str) -> str:
@@ -232,7 +231,7 @@ landmarks = in_input(
     "--landmarks",
     shell_complete=file_names,
     help="Landmark set: a built-in name, a TOML file, or the run.toml of an earlier run.  "
-    "[default: that of the run.toml that is read, or landmarks.toml beside the log; else basin]",
+    "[default: that of the run.toml that is read, or the log's own landmarks.toml; else basin]",
 )
 pairs = in_input(
     "--pairs",
@@ -399,7 +398,7 @@ settings = as_one("settings", _SETTINGS, lambda values: SettingsChoice(**values)
 quiet = in_output(
     "-q --quiet",
     is_flag=True,
-    help="No progress bar and no summary; what is wrong is still told.",
+    help="No progress bar and no summary; problems and notes are still printed.",
 )
 
 

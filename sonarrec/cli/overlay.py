@@ -80,7 +80,7 @@ def overlay(
     if mistakes is not None and frames is not None:
         raise UsageError("--mistakes chooses the frames; leave out --frames")
     folders = [] if results else overlays.results_in(Path(log))
-    several, told, lines, faults = (
+    several, diagnostics, lines, faults = (
         len(folders) > 1,
         Diagnostics(),
         list[str](),
@@ -93,16 +93,18 @@ def overlay(
         )
     targets: list[Target] = [(one, ground_truth, ()) for one in folders or [Path(log)]]
     if mistakes is not None:
-        place = Path(log) if folders else overlays.find_both(Path(log), results)[1]
-        found = _worst(place, ground_truth, method, landmarks, reading, mistakes, told, lines)
+        folder = Path(log) if folders else overlays.find_both(Path(log), results)[1]
+        found = _worst(
+            folder, ground_truth, method, landmarks, reading, mistakes, diagnostics, lines
+        )
         targets = [(one if folders else Path(log), of, wrong) for one, of, wrong in found]
     with progress(quiet) as step:
         for one, truth, wrong in targets:
-            place = out / one.name if several else out
+            picture = out / one.name if several else out
             try:
                 report = overlays.overlay(
                     one,
-                    place,
+                    picture,
                     results=results,
                     method=method,
                     frames=[(m.worst_frame, m.worst_frame + 1) for m in wrong] or frames,
@@ -114,14 +116,14 @@ def overlay(
             except SonarrecError as error:
                 faults.append(error)
                 continue
-            told.problem(*report.diagnostics.problems)
-            told.note(*report.diagnostics.notes)
-            lines.append(f"{place}: {number_of(report.frames, 'frame')}, {report.method}")
+            diagnostics.problem(*report.diagnostics.problems)
+            diagnostics.note(*report.diagnostics.notes)
+            lines.append(f"{picture}: {number_of(report.frames, 'frame')}, {report.method}")
             lines += [f"  frame {m.worst_frame}: {m.in_words}; {m.span}" for m in wrong]
     if faults and not lines:
         raise faults[0]
-    told.problem(*(f"{error}; not drawn" for error in faults))
-    finish(quiet, lines, told.problems, told.notes)
+    diagnostics.problem(*(f"{error}; not drawn" for error in faults))
+    finish(quiet, lines, diagnostics.problems, diagnostics.notes)
 
 
 def _worst(
@@ -131,7 +133,7 @@ def _worst(
     landmarks: str | None,
     reading: dict[str, Any],
     most: int,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     lines: list[str],
 ) -> list[Target]:
     """The longest mistakes of a method, at most `most` in all: (results, truth, mistakes) of each
@@ -150,7 +152,7 @@ def _worst(
             methods=(method,) if method else (),
         ),
     )
-    told.problem(*found.unused)
+    diagnostics.problem(*found.unused)
     first = found.counts.methods[0]
     of_first = [m for m in found.counts.mistakes if m.method == first]
     wrong = [m for m in of_first if not m.at_start][:most]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @command(short_help="Write results as one HTML page.")
 @click.argument("results", type=ANY, required=False)
-@options.ground_truth("gt.csv, in place of the NAME.gt.csv or gt.csv beside each log.")
+@options.ground_truth("gt.csv, in place of each log's own NAME.gt.csv or gt.csv.")
 @in_input(
     "--log recordings",
     type=ANY,

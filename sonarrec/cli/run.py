@@ -22,9 +22,9 @@ from sonarrec.cli.endings import (
     code_of_all,
     inform,
     leave,
+    print_notes,
     progress,
     say,
-    tell,
 )
 from sonarrec.cli.groups import (
     FILE,
@@ -68,7 +68,7 @@ class _FolderOrUrl(click.Path):
     "--odometry",
     type=FILE,
     help="CSV of the sonar's poses (sonarrec help geometry).  [default: NAME.poses.csv or "
-    "poses.csv beside the log; else the motion is measured between the images]",
+    "poses.csv next to the log; else the motion is measured between the images]",
 )
 @in_input(
     "--odometry-topic",
@@ -128,7 +128,7 @@ def run(
 
     LOG is an MCAP file, a bag of ROS 1 or 2, a folder of images, a video, a sonar's own file
     (.aris, .ddf, .oculus, .raw, .glf), a folder of logs, or a quoted glob of these. The sonar's
-    geometry comes from sonar.toml beside LOG (NAME.sonar.toml for one file), from --sonar, or from
+    geometry comes from sonar.toml next to LOG (NAME.sonar.toml for one file), from --sonar, or from
     the flags below; polar messages and sonars' own files state theirs, mostly without tilt and
     height. Several logs are processed in parallel; one that cannot be used does not stop the
     others. LOG and OUT may be on a server (`sonarrec help run`).
@@ -195,7 +195,7 @@ def run_and_print(
     from sonarrec.runs.run import run_jobs
 
     several, frames = len(jobs) > 1, 0
-    goes_by: dict[str, list[str]] = {}  # the logs of each line, told once
+    goes_by: dict[str, list[str]] = {}  # the logs of each line, printed once
     folders = [] if is_url(out) else [Path(out, job.name) for job in jobs]
     # A bar over the logs, or over the frames of the only one.
     bar = (len(jobs), None, "log") if several else (None, jobs[0].name, "frame")
@@ -225,7 +225,7 @@ def run_and_print(
         done = run_jobs(jobs, out, watch, **calling)
     failed = [(j.path, o) for j, o in zip(jobs, done.outcomes, strict=True) if o.error is not None]
     if done.fault and not failed:
-        tell([done.fault])  # else the disk is full, which was reported
+        print_notes([done.fault])  # else the disk is full, which was reported
     if not several and (error := done.outcomes[0].error) is not None:
         raise error
     if briefly:
@@ -247,9 +247,9 @@ def run_and_print(
         elif "/" in (folder := jobs[0].results):
             line += f", in {folder.rpartition('/')[0]}"
         click.echo(printable(line), err=bool(failed))
-    if several and not quiet:  # again, for they were told before the table
-        tell(outcome.message for _, outcome in failed[:MOST_FAILED])
-    tell((), [*_notes(jobs, done.outcomes), *done.notes])
+    if several and not quiet:  # again, for they were printed before the table
+        print_notes(outcome.message for _, outcome in failed[:MOST_FAILED])
+    print_notes((), [*_notes(jobs, done.outcomes), *done.notes])
     return done
 
 
@@ -259,9 +259,9 @@ def _print_faults(outcome: Outcome, job: Job, several: bool) -> None:
         click.echo(outcome.traceback.rstrip(), err=True)
     if outcome.error is None:
         lines = outcome.problems
-        tell([x if job.path in x or not several else f"{job.name}: {x}" for x in lines])
+        print_notes([x if job.path in x or not several else f"{job.name}: {x}" for x in lines])
     elif several:  # else it is raised
-        tell([outcome.message])
+        print_notes([outcome.message])
 
 
 def _plan(jobs: Sequence[Job]) -> int:
@@ -288,7 +288,7 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
         from sonarrec.results.folders import part_of
 
         parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
-        tell(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
+        print_notes(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
         leave(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
 
 

@@ -28,7 +28,7 @@ from sonarrec.errors import number_of
 )
 @options.out(
     ANY,
-    "Folder for the recording, or NAME.mcap for one file with its companions beside it.",
+    "Folder for the recording, or NAME.mcap for one file with its companions next to it.",
     required=True,
 )
 @options.quiet

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import PARTLY, finish, leave, say, tell
+from sonarrec.cli.endings import PARTLY, finish, leave, print_notes, say
 from sonarrec.cli.groups import (
     ANY,
     FILE,
@@ -107,12 +107,12 @@ def convert(
     source = None if log is None else find_log(log)
     landmark_set = chosen_landmarks(source, landmarks, read_run(None))[0]
     with nullcontext() if log is None else open_log(log, **reading) as opened:
-        counts, told = convert_annotations(
+        counts, diagnostics = convert_annotations(
             annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=opened
         )
     by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"
     line = f"{out}: {number_of(sum(counts.values()), 'row')} ({by_id})"
-    finish(quiet, [line], told.problems, told.notes)
+    finish(quiet, [line], diagnostics.problems, diagnostics.notes)
 
 
 @truth.command(short_help="Find errors in a gt.csv.", cls=GroupedCommand)
@@ -156,7 +156,7 @@ def check(
 
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
     with open_log(log, **reading) as opened:
-        rows, faults, told = check_truth(
+        rows, faults, diagnostics = check_truth(
             ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg
         )
     lines, counts = list[str](), Counter[str]()
@@ -167,13 +167,13 @@ def check(
     for kind, count in counts.items():
         if count > MOST_FAULTS:
             lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
-    tell(told.problems)
+    print_notes(diagnostics.problems)
     found = number_of(len(faults), "fault") if faults else "no fault"
     if not quiet:
         lines.append(f"{ground_truth}: {number_of(rows, 'row')}, {found}")
     say(*lines)
-    tell((), told.notes)
-    if faults or told.problems:
+    print_notes((), diagnostics.notes)
+    if faults or diagnostics.problems:
         leave(PARTLY)
 
 
@@ -235,7 +235,7 @@ def propose(
 @in_input(
     "--truth ground_truth",
     type=FILE,
-    help="gt.csv to correct.  [default: NAME.gt.csv or gt.csv beside the log, if there is one]",
+    help="gt.csv to correct.  [default: NAME.gt.csv or gt.csv next to the log, if there is one]",
 )
 @in_input(
     "--results",
@@ -283,7 +283,7 @@ def review(
     from sonarrec.reports.review import review as write_review
 
     logs = results_in(Path(log)) or [Path(one.path) for one in logs_named(log)]
-    told, lines = Diagnostics(), list[str]()
+    diagnostics, lines = Diagnostics(), list[str]()
     for one in logs:
         page = out or Path("review.html")
         if logs[1:]:
@@ -302,11 +302,11 @@ def review(
         except SonarrecError as error:
             if not logs[1:]:
                 raise
-            told.problem(str(error))
+            diagnostics.problem(str(error))
         else:
             lines.append(line)
-            told.problem(*of_log.problems)
-            told.note(*of_log.notes)
+            diagnostics.problem(*of_log.problems)
+            diagnostics.note(*of_log.notes)
     if not lines:
-        raise SonarrecError(told.problems[0])
-    finish(quiet, lines, told.problems, told.notes)
+        raise SonarrecError(diagnostics.problems[0])
+    finish(quiet, lines, diagnostics.problems, diagnostics.notes)

@@ -1,4 +1,4 @@
-"""Whether the IDs of a landmark set can be told apart, a picture of the set, and a sheet of plates.
+"""Whether the IDs of a landmark set can be distinguished; a picture of the set; a sheet of plates.
 
 Seen through beams that are wide at the landmark's distance, symbols differ less than as drawn.
 """
@@ -19,12 +19,12 @@ from sonarrec.drawing.pen import TRUTH, Pen
 from sonarrec.landmarks import WIDEST_SIGMA, DrawnSet, LandmarkSet
 
 GRID, PLATE_GRID = 30, 56  # samples across a disc or plate
-TURN_DEG = 5  # of one disc against the other; of both against the line of sight three times that
-MOST_PAIRS = 12  # of the IDs most alike as drawn: views of an ID take some 3 ms
+ROTATION_STEP_DEG = 5  # of a disc against the other; three times that against the line of sight
+MOST_PAIRS = 12  # of the IDs that differ least as drawn: views of an ID take some 3 ms
 HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
-# Of a symbol's area, as drawn; nearer, one bad sector makes one ID of the other. As seen: of
-# simulated IDs a twelfth apart nearly all were told with .05 left by the beams, and one in five
-# with .02.
+# Shares of a symbol's area. As drawn: if two IDs differ in less, one bad sector makes one ID of the
+# other. As seen: of simulated IDs that differ in a twelfth, nearly all were distinguished with .05
+# left by the beams, and one in five with .02.
 NEAR, NEAR_SEEN = 1 / 8, 0.04
 # The same of plates. AcTag24h10 has .20, AcTag24h4 .08, as drawn.
 PLATES_NEAR, PLATES_NEAR_SEEN = 0.06, 0.03
@@ -36,7 +36,7 @@ SHEET_MARK = (
 
 
 class Distance(NamedTuple):
-    """How far two IDs are apart, at the rotation (and hand) at which they differ least.
+    """How much two IDs differ, at the rotation (and hand) at which they differ least.
 
     drawn: share of the symbol's area, or of the plate's, in which they differ. seen: the same of
     what beams leave of it, the mean square of the difference.
@@ -49,14 +49,14 @@ class Distance(NamedTuple):
 
 @lru_cache(maxsize=4)  # the logs of one run share it
 def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
-    """The distances of all pairs of IDs, or of the MOST_PAIRS most alike, the nearest first.
+    """The distances of all pairs of IDs, or of the MOST_PAIRS that differ least, the nearest first.
 
     beam_m: width of a beam at the landmark, between half-power points.
     """
-    turned = _as_drawn(landmarks)
-    drawn = next(turned)
+    rotations = _as_drawn(landmarks)
+    drawn = next(rotations)
     agree = drawn @ drawn.T
-    for other in turned:
+    for other in rotations:
         np.maximum(agree, drawn @ other.T, out=agree)
     differ = (drawn.shape[1] - agree) / (2 * drawn.shape[1])
     first, second = np.triu_indices(len(drawn), 1)
@@ -65,9 +65,9 @@ def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
     views = {k: _as_seen(landmarks, k, beam_m) for k in sorted({k for pair in pairs for k in pair})}
     found = []
     for a, b in pairs:
-        # One of the two against the other; discs, at more than quarter turns, both against the
-        # line of sight: half a turn of both changes nothing.
-        fixed, free = views[a][: 180 // TURN_DEG : 3], views[b]
+        # One of the two is rotated against the other. Discs, which have more than four rotations,
+        # are both rotated against the line of sight as well: 180 degrees of both change nothing.
+        fixed, free = views[a][: 180 // ROTATION_STEP_DEG : 3], views[b]
         if isinstance(landmarks, DrawnSet):
             fixed, free = views[b][:1], views[a]
         seen = min(float(((one - free) ** 2).sum(axis=1).min()) for one in fixed)
@@ -81,7 +81,7 @@ def _as_drawn(landmarks: LandmarkSet) -> Iterator[FloatArray]:
     if isinstance(landmarks, DrawnSet):
         drawings = landmarks.drawings()  # of families with hundreds of IDs: a sample a cell
         if len({len(d) for d in drawings}) > 1:
-            drawings = [_enlarged(d) > 0 for d in drawings]
+            drawings = [_upsampled(d) > 0 for d in drawings]
         for plates in _views(np.stack(drawings), landmarks):
             yield 2 * plates.reshape(len(plates), -1).astype(np.float32) - 1
     else:
@@ -95,7 +95,7 @@ def _as_seen(landmarks: LandmarkSet, k: int, beam_m: float) -> FloatArray:
     Scaled so that squared distances are shares of the symbol's area, or of the plate's.
     """
     if isinstance(landmarks, DrawnSet):
-        plate = _enlarged(landmarks.drawings()[k])[None]
+        plate = _upsampled(landmarks.drawings()[k])[None]
         views = [_smeared(view[0], beam_m, landmarks) for view in _views(plate, landmarks)]
         return np.stack(views).reshape(len(views), -1) / PLATE_GRID
     across = (np.arange(3 * GRID) + 0.5) * 2 / GRID - 3  # wider than the disc, for what is smeared
@@ -105,23 +105,23 @@ def _as_seen(landmarks: LandmarkSet, k: int, beam_m: float) -> FloatArray:
     beam /= beam.sum(axis=1, keepdims=True)
     x, y = np.meshgrid(inside, inside)
     degree, radius = np.floor(np.degrees(np.arctan2(y, x))).astype(int), np.hypot(x, y)
-    turn = np.arange(0, 360, TURN_DEG)[:, None, None]
+    rotation = np.arange(0, 360, ROTATION_STEP_DEG)[:, None, None]
     # Two rounds: the indices go from -535 to 179, and negative ones count from the end.
-    drawn = landmarks.codes(np.radians(np.arange(720) + 0.5))[k, degree - turn]
+    drawn = landmarks.codes(np.radians(np.arange(720) + 0.5))[k, degree - rotation]
     inner, outer = landmarks.symbol
     drawn *= (radius >= inner) & (radius <= outer)
     drawn += (radius > landmarks.ring[0]) & (radius <= landmarks.ring[1])
     cells = math.pi * (outer**2 - inner**2) / (2 / GRID) ** 2
-    return np.asarray((drawn @ beam).reshape(len(turn), -1) / math.sqrt(cells), np.float32)
+    return np.asarray((drawn @ beam).reshape(len(rotation), -1) / math.sqrt(cells), np.float32)
 
 
 def _views(plates: BoolArray | ByteImage, landmarks: DrawnSet) -> Iterator[np.ndarray]:
-    """(K, n, n) plates in every quarter turn, and hand where both may show."""
+    """(K, n, n) plates at every rotation by 90 degrees, and in both hands where both may show."""
     hands = [plates, plates[:, :, ::-1]] if landmarks.mirrored == "either" else [plates]
-    yield from (np.rot90(hand, turn, axes=(1, 2)) for hand in hands for turn in range(4))
+    yield from (np.rot90(hand, n, axes=(1, 2)) for hand in hands for n in range(4))
 
 
-def _enlarged(drawing: BoolArray) -> ByteImage:
+def _upsampled(drawing: BoolArray) -> ByteImage:
     cells, size = drawing.astype(np.uint8), (PLATE_GRID, PLATE_GRID)
     return np.asarray(cv2.resize(cells, size, interpolation=cv2.INTER_NEAREST))
 
@@ -146,13 +146,13 @@ def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[
             )
     close = [d for d in near if d.drawn < least]
     blurred = [d for d in near if d.seen < least_seen and d.drawn >= least]
-    for alike, how in (
+    for similar, how in (
         (close, f"differ in less than {of_what}"),
         (blurred, "look alike through the beams"),
     ):
-        pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in alike[:3])
-        more = f" and {len(alike) - 3} more pairs" if len(alike) > 3 else ""
-        found += [f"IDs {pairs}{more} {how}"] if alike else []
+        pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in similar[:3])
+        more = f" and {len(similar) - 3} more pairs" if len(similar) > 3 else ""
+        found += [f"IDs {pairs}{more} {how}"] if similar else []
     return found
 
 

@@ -84,14 +84,14 @@ class Pen:
         self._thickness = max(1, round(unit))
         self._scale = scale
 
-    def _enlarged(self, points: FloatArray) -> FloatArray:
+    def _in_canvas(self, points: FloatArray) -> FloatArray:
         # Pixel centres are whole numbers before and after.
         return np.asarray((points + 0.5) * self._scale - 0.5)
 
     def lines(self, lines: FloatArray, colour: Colour, width: int, *, closed: bool = False) -> None:
         """Draw (lines, points, 2) in one colour."""
         # Points far outside are moved nearer, so that they fit into 32 bits.
-        fixed = np.clip(self._enlarged(lines) * 2**_FINE, -1e8, 1e8).round().astype(np.int32)
+        fixed = np.clip(self._in_canvas(lines) * 2**_FINE, -1e8, 1e8).round().astype(np.int32)
         width = round(width * self._unit)
         cv2.polylines(self.canvas, list(fixed), closed, colour[::-1], width, cv2.LINE_AA, _FINE)
 
@@ -110,7 +110,7 @@ class Pen:
         """Write above (or below) an outline, inside the picture."""
         if not text:
             return
-        low, high = self._enlarged(outline.min(axis=0)), self._enlarged(outline.max(axis=0))
+        low, high = self._in_canvas(outline.min(axis=0)), self._in_canvas(outline.max(axis=0))
         (width, height), drop = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
         gap = 5 * self._unit
         y = high[1] + gap + height if below or low[1] < gap + height else low[1] - gap
@@ -124,7 +124,7 @@ class Pen:
     def note(self, text: str, point: Point, colour: Colour, centred: bool = False) -> None:
         """Write at a point of the image (its bottom left, or middle), inside the picture."""
         (width, height), _ = cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)
-        x, y = self._enlarged(np.asarray(point, float))
+        x, y = self._in_canvas(np.asarray(point, float))
         x, y = x + 3 * self._unit, y - 3 * self._unit
         x = min(max(x - (width / 2 if centred else 0), 2), self.canvas.shape[1] - width - 2)
         y = min(max(y, height + 2), self.canvas.shape[0] - 3)
@@ -136,16 +136,16 @@ class Pen:
         """Write from the bottom-left (or right) corner of the text, in pixels of the canvas."""
         width = int(cv2.getTextSize(text, _FONT, self._unit / 2, self._thickness)[0][0])
         left = round(corner[0]) - (width if align_right else 0)
-        look = (_FONT, self._unit / 2, colour[::-1], self._thickness, cv2.LINE_AA)
-        cv2.putText(self.canvas, text, (left, round(corner[1])), *look)
+        style = (_FONT, self._unit / 2, colour[::-1], self._thickness, cv2.LINE_AA)
+        cv2.putText(self.canvas, text, (left, round(corner[1])), *style)
 
 
 def pen_on(image: ByteImage, fan: Fan) -> Pen:
     """A pen that draws in fan pixels on the image, enlarged to be legible."""
     scale = -(-_SMALLEST // max(fan.rows, fan.columns))
     size = (fan.columns * scale, fan.rows * scale)
-    enlarged = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    return Pen(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
+    upsampled = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    return Pen(cv2.cvtColor(upsampled, cv2.COLOR_GRAY2BGR), pixel_unit(max(size)), scale)
 
 
 def draw_picture(frame: ByteImage, strip: ByteImage) -> ByteImage:

@@ -29,11 +29,11 @@ class CheckedLog:
     path: str
     """As an argument of `sonarrec run`; a folder of logs, or a glob, names several."""
     ground_truth: str | None = None
-    """None: the truth beside the log."""
+    """None: the truth in the folder of the log."""
     name: str | None = None
     """Of its folder of results; None: as `sonarrec run` names it."""
     sonar: str | None = None
-    """A sonar.toml, in place of that beside the log."""
+    """A sonar.toml, in place of the log's own."""
     topic: str | None = None
 
 
@@ -82,15 +82,15 @@ class Check(NamedTuple):
         """The folder of the recorded results."""
         return self.path.parent / (self.file.record or self.path.stem)
 
-    def beside(self, name: str | None) -> Path | None:
+    def path_to(self, name: str | None) -> Path | None:
         """A file that the check file names."""
         return None if name is None else self.path.parent / name
 
     @property
     def landmarks(self) -> str | None:
-        """The landmark set: a file beside the check file, else a name."""
-        place = self.beside(self.file.landmarks)
-        return str(place) if place is not None and place.is_file() else self.file.landmarks
+        """The landmark set: a file in the folder of the check file, else a name."""
+        path = self.path_to(self.file.landmarks)
+        return str(path) if path is not None and path.is_file() else self.file.landmarks
 
     def logs(self) -> list[LogToRun]:
         """Every log of the file. Raises UsageError for one without truth or of a wrong name."""
@@ -105,11 +105,11 @@ class Check(NamedTuple):
                 )
             for one in named:
                 options = LogOptions(
-                    sonar_file=self.beside(of.sonar), topic=of.topic, up_to=one.up_to
+                    sonar_file=self.path_to(of.sonar), topic=of.topic, up_to=one.up_to
                 )
                 below = Path(one.path).is_relative_to(home)
                 stated = Path(one.path).relative_to(home).as_posix() if below else one.path
-                truth = self.beside(of.ground_truth) or _truth_beside(where, one.path, options)
+                truth = self.path_to(of.ground_truth) or _truth_of_log(where, one.path, options)
                 if not truth.is_file():
                     raise UsageError(f"{where}: {truth}: no such file")
                 logs.append(LogToRun(of.name or "", one.path, stated, truth, options))
@@ -130,10 +130,10 @@ class Check(NamedTuple):
         return logs
 
 
-def _truth_beside(where: str, path: str, options: LogOptions) -> Path:
-    """The truth beside a log. Raises UsageError if there is none. where: its [[log]]."""
+def _truth_of_log(where: str, path: str, options: LogOptions) -> Path:
+    """The truth in the folder of a log. Raises UsageError if there is none. where: its [[log]]."""
     try:
-        truth = find_log(path, options.up_to).beside(TRUTH_FILE)
+        truth = find_log(path, options.up_to).companion(TRUTH_FILE)
     except SonarrecError as error:
         raise UsageError(f"{where}: {error}") from None
     if truth is None:

@@ -19,7 +19,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, p
 from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
 from sonarrec.evaluation.figures import MAIN, METRICS, differences, few_units, rates, units_text
-from sonarrec.evaluation.pairs import Pair, find_truths_beside, pair_up, read_pairs
+from sonarrec.evaluation.pairs import Pair, find_truths, pair_up, read_pairs
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
@@ -36,9 +36,9 @@ RATES = ["tpr", "fpr"]
 SAME = 5e-5
 """Without a band: a smaller change of a rate does not show in its digits."""
 SIGNIFICANT = 0.05
-"""The largest p that is not told as possibly due to chance."""
+"""With a p above this a difference is said to be possibly due to chance."""
 EACH = ""
-"""Stands for every method that is looked at, in the limits."""
+"""Stands for every method that is judged, in the limits."""
 MOST_NAMED = 3
 """Logs that a sentence names."""
 MOST_ROWS = 24
@@ -70,31 +70,31 @@ class Limits:
         """Whether anything is to be kept."""
         return self.band is not None or bool(self.least_tpr or self.most_fpr)
 
-    def looked_at(self, methods: Iterable[str]) -> tuple[str, ...]:
-        """The methods looked at, of those in the results. Raises UsageError for one not there."""
+    def methods_to_judge(self, methods: Iterable[str]) -> tuple[str, ...]:
+        """The methods to judge, of those in the results. Raises UsageError for one not there."""
         there = tuple(dict.fromkeys(methods))
         if unknown := sorted({*self.methods, *self.least_tpr, *self.most_fpr} - {EACH, *there}):
             has = ", ".join(there)
             raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
         return self.methods or tuple(filter(follows, there)) or there
 
-    def broken(self, counts: Counts, looked_at: Sequence[str] = ()) -> list[str]:
+    def broken(self, counts: Counts, methods: Sequence[str] = ()) -> list[str]:
         """A line for each absolute limit that the results do not keep.
 
-        looked_at: methods; empty: as of `looked_at`, which raises UsageError for one not there.
+        methods: to judge; empty: those of `methods_to_judge`, which raises UsageError.
         """
-        looked_at = looked_at or self.looked_at(counts.methods)
+        methods = methods or self.methods_to_judge(counts.methods)
         protocol, lines = counts.protocols[-1], []  # strict, if it is scored
         for method in counts.methods:
             for name, limits in (("tpr", self.least_tpr), ("fpr", self.most_fpr)):
-                limit = limits.get(method, limits.get(EACH) if method in looked_at else None)
+                limit = limits.get(method, limits.get(EACH) if method in methods else None)
                 rate = getattr(counts.count(method, protocol), name)
                 # A TPR of 0/0 shows nothing, so it keeps no limit.
                 if limit is None or (rate >= limit if name == "tpr" else not rate > limit):
                     continue
                 beyond = f"{'below' if name == 'tpr' else 'above'} {limit:g}"
-                told = f"{METRICS[name].label} {rate_text(rate)} ({method}, {protocol})"
-                lines.append(f"limit not kept: {told} is {beyond}")
+                figure = f"{METRICS[name].label} {rate_text(rate)} ({method}, {protocol})"
+                lines.append(f"limit not kept: {figure} is {beyond}")
         return lines
 
 
@@ -145,29 +145,46 @@ def compare(
     pairs: str | Path | None = None,
     **scoring: Any,
 ) -> Comparison:
-    """What got better or worse from old to new results, on their common frames.
-
-    `verdict` of the result says it in a sentence, `figures` has the rates with their tests. Nothing
-    is written.
+    """Compare old and new results by their scores on common frames; writes nothing.
 
     Logs are read one at a time, so memory does not grow with their number. A log that cannot be
     compared is left out if there are others.
 
-    old, new: their logs are paired by name; if each holds one log, these are paired. ground_truth:
-    one table for all logs, or pairs that name a truth per log; None: the truth beside each log.
-    pairs: a CSV that names the truth of each log. options: how it is scored; else `scoring`, as
-    `evaluate` takes it, `method` to `sonar`.
-    Raises SonarrecError if no log can be compared, or if one truth is for all logs and cannot be
-    read.
+    Parameters
+    ----------
+    old, new : str or Path
+        Folders of results. Their logs are paired by name; if each holds one log, these are paired.
+    ground_truth : str, Path or sequence of Pair, optional
+        One table for all logs, or pairs that name a truth for each. Default: NAME.gt.csv, or
+        gt.csv, in the folder of each log.
+    options : ScoringOptions, optional
+        How results are scored, in place of `scoring`.
+    pairs : str or Path, optional
+        A CSV that names the truth of each log.
+    **scoring
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
+        `evaluate`.
+
+    Returns
+    -------
+    Comparison
+        `verdict` is a sentence; `figures` has a row per rate, with its test.
+
+    Raises
+    ------
+    SonarrecError
+        No log can be compared, or the one truth of all logs cannot be read.
+    UsageError
+        An option is invalid.
     """
     options = options or scoring_options(**scoring)
     options.check()
-    told, old, new = Diagnostics(), Path(old), Path(new)
+    diagnostics, old, new = Diagnostics(), Path(old), Path(new)
     ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
     ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
-    logs = _logs(pair_up(old, new, told), ground_truth, told)
+    logs = _logs(pair_up(old, new, diagnostics), ground_truth, diagnostics)
     one_truth_of = new if isinstance(ground_truth, Path) else None
-    return _compared((old, new), logs, options, told, one_truth_of)
+    return _compared((old, new), logs, options, diagnostics, one_truth_of)
 
 
 def compare_sets(
@@ -178,19 +195,19 @@ def compare_sets(
     Raises SonarrecError as `compare`, if those of any set cannot be compared.
     """
     options.check()
-    told = Diagnostics()
+    diagnostics = Diagnostics()
     logs_of: dict[frozenset[int], list[LogToScore]] = {}
     name_of: dict[frozenset[int], str] = {}
-    for log in _logs(pair_up(old, new, told), pairs, told):
+    for log in _logs(pair_up(old, new, diagnostics), pairs, diagnostics):
         landmarks = read_run(log.results[-1] / "run.toml").landmark_set(options.landmarks)
         ids = frozenset(landmarks.ids)
         logs_of.setdefault(ids, []).append(log)
-        taken = landmarks.name in name_of.values()
-        name_of.setdefault(ids, f"{landmarks.name}-{len(logs_of)}" if taken else landmarks.name)
+        used = landmarks.name in name_of.values()
+        name_of.setdefault(ids, f"{landmarks.name}-{len(logs_of)}" if used else landmarks.name)
     found = {}
     for ids, logs in logs_of.items():
-        found[name_of[ids]] = _compared((old, new), logs, options, told)
-        told = Diagnostics()  # what is on all logs is told with the first
+        found[name_of[ids]] = _compared((old, new), logs, options, diagnostics)
+        diagnostics = Diagnostics()  # what is about all logs is in those of the first
     return found
 
 
@@ -198,19 +215,21 @@ def _compared(
     sides: tuple[Path, Path],
     logs: Sequence[LogToScore],
     options: ScoringOptions,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     one_truth_of: Path | None = None,
 ) -> Comparison:
     """The comparison of logs, old and new. sides: their folders, for messages."""
     old, new = sides
-    _, (before, after), _ = score_logs(logs, options, "compared", told, one_truth_of)
+    _, (before, after), _ = score_logs(logs, options, "compared", diagnostics, one_truth_of)
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
     for side, counts in ((old, before), (new, after)):
-        told.note(*(f"{side}: {line}" for line in lacks(counts)))
+        diagnostics.note(*(f"{side}: {line}" for line in lacks(counts)))
     if before.placed != after.placed:
         without = new if before.placed else old
-        told.note(f"protocol strict is not compared: {without} has no positions that can be used")
+        diagnostics.note(
+            f"protocol strict is not compared: {without} has no positions that can be used"
+        )
     compared = tuple(
         (protocol, method)
         for method in methods
@@ -229,19 +248,19 @@ def _compared(
         rates=_rates(before, after, compared),
         lost=tuple(m for m in methods if m not in after.methods),
         gained=tuple(m for m in methods if m not in before.methods),
-        notes=(*told.notes, *few_units(after)),
-        unused=tuple(told.problems),
+        notes=(*diagnostics.notes, *few_units(after)),
+        unused=tuple(diagnostics.problems),
     )
 
 
 def _logs(
     folders: Sequence[tuple[Path, Path]],
     ground_truth: Path | Sequence[Pair] | None,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> list[LogToScore]:
-    """The logs of these old and new folders that have a truth, by name; others are told."""
+    """The logs of these old and new folders that have a truth, by name; others are problems."""
     if ground_truth is None:
-        pairs: Sequence[Pair] = find_truths_beside([now for _, now in folders], told)
+        pairs: Sequence[Pair] = find_truths([now for _, now in folders], diagnostics)
     elif isinstance(ground_truth, Path):
         pairs = [Pair(now, ground_truth) for _, now in folders]
     else:
@@ -257,9 +276,9 @@ def _logs(
             name = found[0].log or log_of(both[1])
             logs.append(LogToScore(both, found[0].ground_truth, name))
         elif pairs is ground_truth:
-            told.problem(f"{both[1]}: the pairs name no truth for it; not compared")
+            diagnostics.problem(f"{both[1]}: the pairs name no truth for it; not compared")
     if not logs:
-        raise SonarrecError(told.problems[-1])
+        raise SonarrecError(diagnostics.problems[-1])
     return logs
 
 
@@ -354,11 +373,11 @@ def judge(found: Comparison, limits: Limits) -> Judgement:
     Raises UsageError if a method that the limits name is in neither.
     """
     named = (*(method for _, method in found.methods), *found.gained, *found.lost)
-    looked_at, band = limits.looked_at(named), limits.band
+    methods, band = limits.methods_to_judge(named), limits.band
     least = SAME if band is None else np.maximum(band, FRAMES_FREE / found.rates.of.clip(1)) + 1e-9
     sign = np.sign(found.rates.worse_by) * (found.rates.worse_by.abs() >= least)
-    judged = found.rates.assign(sign=sign)[found.rates.method.isin(looked_at)]
-    faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in looked_at]
+    judged = found.rates.assign(sign=sign)[found.rates.method.isin(methods)]
+    faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in methods]
     if found.before.placed and not found.after.placed:
         faults.append("worse: protocol strict: no longer scored")
     for r in judged[judged.sign > 0].itertuples() if band is not None else ():
@@ -366,7 +385,7 @@ def judge(found: Comparison, limits: Limits) -> Judgement:
         of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
         rate = f"{METRICS[r.rate].label} was {rate_text(r.old)}, is {rate_text(r.new)}"
         faults.append(f"worse: {log}{r.method}, {r.protocol}{of}: {rate}")
-    broken = limits.broken(found.after, looked_at)
+    broken = limits.broken(found.after, methods)
     rows = _rows(found, judged, either=band is not None)
     sentence = _sentence(found, rows, faults, broken, band)
     return Judgement(sentence, rows, (*faults, *broken))

@@ -127,10 +127,10 @@ def _errors(log: Matched, right: Table) -> dict[str, Table]:
     error. Unknown ones are left out."""
     claims, truths = log.claims[right["claim"]], log.truths[right["truth"]]
     period = np.array([log.period_deg[i] for i in right["landmark"].tolist()], dtype=float)
-    turned = claims["orientation"] - truths["orientation"]
+    rotation = claims["orientation"] - truths["orientation"]
     errors = {
         "position": np.hypot(claims["x"] - truths["x"], claims["y"] - truths["y"]),
-        "orientation": np.abs((turned + period / 2) % period - period / 2),
+        "orientation": np.abs((rotation + period / 2) % period - period / 2),
     }
     return {
         kind: right.select(_UNIT).with_columns(value=of, n=1)[~np.isnan(of)]
@@ -311,8 +311,8 @@ class Counts:
         """A table of all logs, with names in place of indices."""
         of = self.rows(name)
         names = {"method": self._names, "protocol": PROTOCOLS}
-        told = {c: np.take(names[c], of[c]) for c in names if c in of.columns}
-        return pd.DataFrame(of.columns).assign(**told)
+        named = {c: np.take(names[c], of[c]) for c in names if c in of.columns}
+        return pd.DataFrame(of.columns).assign(**named)
 
     @cached_property
     def base(self) -> pd.DataFrame:
@@ -432,10 +432,10 @@ def of_landmark(table: pd.DataFrame, landmark: str) -> pd.DataFrame:
     return table if landmark == TOTAL else table[table.landmark == int(landmark)]
 
 
-def ratio(part: Any, whole: Any) -> Any:
-    """part / whole; NaN for 0/0, infinite for more over 0."""
+def ratio(part: Any, total: Any) -> Any:
+    """part / total; NaN for 0/0, infinite for more over 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return part / whole
+        return part / total
 
 
 def with_rates(of: pd.DataFrame) -> pd.DataFrame:

@@ -1,9 +1,9 @@
-"""Doubts about a truth: with what figures mean something else than they seem to.
+"""Doubts about a truth: signs that its rows mean something else than they state.
 
 The rows of a truth, also those that matching drops, are compared with the claims of the leading
 method: as they are, and as if positions or frames had been stated in another way. Such a reading is
-told as the reason only if nearly all rows and claims meet under it; if others fit clearly better
-but none explains it, what was seen is told, and not why.
+named as the reason only if nearly all rows and claims agree under it. If others fit clearly better
+but none explains the difference, the note says what was seen and gives no reason.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sonarrec.truth.table import TruthTable
 MOST_ROWS = 500  # are asked which reading fits; more add nothing
 MOST_SHIFT = 500  # frames by which the truth may be early or late
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
-NEARLY_ALL = 0.8  # of rows and of claims meet under the reading that is told as the reason
+NEARLY_ALL = 0.8  # of rows and of claims agree under the reading that is named as the reason
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
@@ -131,9 +131,9 @@ class _Sightings:
             of = np.flatnonzero(rows.landmark == landmark)
             claims = np.flatnonzero(self.claims.landmark == landmark)
             claims = claims[np.argsort(self.claims.frame[claims], kind="stable")]
-            at = self.claims.frame[claims]
-            low = np.searchsorted(at, rows.frame[of] - most)
-            count = np.searchsorted(at, rows.frame[of] + most, "right") - low
+            frame = self.claims.frame[claims]
+            low = np.searchsorted(frame, rows.frame[of] - most)
+            count = np.searchsorted(frame, rows.frame[of] + most, "right") - low
             row = np.repeat(of, count)
             within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
             claim = claims[np.repeat(low, count) + within]
@@ -158,16 +158,16 @@ def _sightings(
     """The rows on a log, whether or not matching kept them, and the claims."""
     rows = table.rows_of(log.name)
     rows = rows[table.visible[rows] > 0]
-    at, frames, stretch = table.at[rows], log.frame, log.stretch
+    when, frames, stretch = table.keys[rows], log.frame, log.stretch
     of_index = frames
     if table.key != "frame" and log.timestamp_ns is not None:
         order = np.argsort(log.timestamp_ns, kind="stable")
         times, stretch = log.timestamp_ns[order], stretch[order]
         frames, of_index = np.arange(len(times)), np.argsort(order)
         step = max(float(np.median(np.diff(times))), 1.0) if len(times) > 1 else 1.0
-        beyond = np.clip(at, times[0], times[-1])
-        rank = np.interp(beyond, times, np.arange(len(times))) + (at - beyond) / step
-        at = np.rint(rank).astype(np.int64)
+        beyond = np.clip(when, times[0], times[-1])
+        rank = np.interp(beyond, times, np.arange(len(times))) + (when - beyond) / step
+        when = np.rint(rank).astype(np.int64)
     position: FloatArray | None = None
     claimed: FloatArray = np.zeros((len(claims), 2))
     if matched.placed and table.position is not None:
@@ -180,7 +180,7 @@ def _sightings(
     landmark = np.array([number[i] for i in table.landmark[rows].tolist()], dtype=np.int64)
     sure = table.visible[rows] >= min_visible
     return _Sightings(
-        rows=_Points(at, landmark, position, sure),
+        rows=_Points(when, landmark, position, sure),
         claims=_Points(
             of_index[claims["at"]],
             claims["cell"] % len(matched.ids),
@@ -295,7 +295,7 @@ def _run_of(log: LogResults, span: str) -> str:
     with suppress(SonarrecError):
         source = recorded_at(run.path.parent, run.input)
         by_table = bool(run.odometry) and "topic" not in run.odometry
-        poses = source.beside(POSES_FILE) if by_table else None
+        poses = source.companion(POSES_FILE) if by_table else None
         if poses is not None or not by_table:
             return rerun(source.path, run.path, "--frames", span, poses=poses)
     return f"`sonarrec run` with --frames {span} and another --out"

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import Diagnostics, SonarrecError, local, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable, refuse_url
 from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
-from sonarrec.evaluation.pairs import Pair, check_of, find_truths_beside, read_pairs, usable_pairs
+from sonarrec.evaluation.pairs import Pair, check_of, find_truths, read_pairs, usable_pairs
 from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match, scoring_options
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
@@ -31,19 +31,19 @@ from sonarrec.results.read import (
     Recording,
     check_one_log,
     find_logs,
-    not_whole,
     read_log,
     recording,
     rows_of,
+    why_incomplete,
 )
 from sonarrec.runs.logs_table import NAME, read_logs
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Breaks
 from sonarrec.truth.check import (
     misfit,
-    tell_fit,
-    tell_other_logs,
-    tell_rows,
+    report_fit,
+    report_other_logs,
+    report_rows,
     unread_columns,
     without_rows,
 )
@@ -96,7 +96,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
 
     orders: its own is added. Raises SonarrecError if its results or its truth cannot be read.
     """
-    told, unused = Diagnostics(), list[str]()
+    diagnostics, unused = Diagnostics(), list[str]()
     table = _truth_table(log.ground_truth)
     sides = [
         replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
@@ -105,7 +105,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     of = recording(log.results[-1], sides[-1].run)
     common = sides[0].frame
     if sides[1:]:
-        told.note(*_check_comparable(log.results, sides))
+        diagnostics.note(*_check_comparable(log.results, sides))
         common = np.intersect1d(common, sides[1].frame)
         if not len(common):
             raise SonarrecError(f"{' and '.join(map(str, log.results))} have no frame in common")
@@ -113,8 +113,8 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         if alone := len(side.frame) - len(common):
             frames = number_of(alone, "frame")
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
-        unused += not_whole(side, "scored")
-        told.note(*rerun_left(folder))
+        unused += why_incomplete(side, "scored")
+        diagnostics.note(*rerun_left(folder))
     if sides[1:]:
         sides = [_only(side, common) for side in sides]
     last = sides[-1]
@@ -126,17 +126,17 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     truth = truths[-1]
     if unread := unread_columns(table):
         unused.append(unread)
-    tell_fit(told, table, last, truth, check_of(table.path, last, options))
-    told.note(*_about_clock(last), about=log.name)
+    report_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
+    diagnostics.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
         recording=of,
         has_log_column=table.log is not None,
-        rows=(len(table.at), truth.rows, truth.unprocessed, truth.between),
+        rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
         ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
         fault=misfit(table, last, truth),
-        notes=told.notes,
+        notes=diagnostics.notes,
         unused=unused,
         matched=[],
     )
@@ -197,10 +197,10 @@ def score_logs(
     logs: Sequence[LogToScore],
     options: ScoringOptions,
     action: str,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     one_truth_of: object = None,
 ) -> tuple[list[LogScore], list[Counts], list[str]]:
-    """Read, match and count the logs, and tell what is in doubt or not used.
+    """Read, match and count the logs, and note what is in doubt or not used.
 
     action: what is done with the logs, such as "scored". one_truth_of: what one truth is for, where
     it is given for all logs. Returns the logs that can be scored, the counts of their results, old
@@ -249,19 +249,21 @@ def score_logs(
     ids = Counter(score.ids for score in scored).most_common(1)[0][0]
     others = [score for score in scored if score.ids != ids]
     scored, sides = [score for score in scored if score.ids == ids], sides_of[ids]
-    told.problem(*(line for score in scored for line in score.unused))
-    told.problem(*_other_sets(others, ids, len(scored), action))
-    told.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
-    told.problem(*(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None))
-    told.problem(*copies.problems)
-    told.note(*copies.notes)
-    told.note(*(note for score in scored for note in score.notes))
+    diagnostics.problem(*(line for score in scored for line in score.unused))
+    diagnostics.problem(*_other_sets(others, ids, len(scored), action))
+    diagnostics.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
+    diagnostics.problem(
+        *(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None)
+    )
+    diagnostics.problem(*copies.problems)
+    diagnostics.note(*copies.notes)
+    diagnostics.note(*(note for score in scored for note in score.notes))
     for counts in sides:
         counts.finish(
             [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
         )
     for score, name in zip(scored, sides[0].logs, strict=True):
-        tell_rows(told, name, score.rows[1], score.rows[3])
+        report_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
 
 
@@ -298,16 +300,46 @@ def evaluate(
 ) -> Evaluation:
     """Score results, of one log or of several, against ground truth.
 
-    `table` of the result has a row per method; figures, intervals and tests are those of the
-    command. ground_truth: one table; default: the NAME.gt.csv, or gt.csv, beside each log. pairs: a
-    CSV that names results and truth of each log, in place of both. out: a folder for the files;
-    default: none is written. Of several results of one recording the first counts.
+    `sonarrec help evaluate` defines claims and both protocols. Of several results of one
+    recording the first counts. Warns where part of the input is not used or in doubt.
 
-    `sonarrec help evaluate` defines claims and both protocols.
+    Parameters
+    ----------
+    results : str or Path, default "sonarrec_out"
+        The folder of one log's results, or a folder of such folders.
+    ground_truth : str or Path, optional
+        One table for all logs. Default: NAME.gt.csv, or gt.csv, in the folder of each log.
+    pairs : str or Path, optional
+        A CSV that names results and truth of each log, in place of `results` and `ground_truth`.
+    method : str or sequence of str, optional
+        The methods to score. Default: all, the framework first.
+    min_visible : float, default 0.9
+        Protocol strict counts a landmark if at least this share of its disc is in view, 0 to 1.
+    tolerance_s : float, optional
+        How far, in s, a row of truth matched by time may lie from its frame. Default: half the
+        time between frames.
+    within_m : float, optional
+        Protocol strict counts a claim as right within this distance in m. Default: half a disc
+        or plate.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    out : str or Path, optional
+        A folder for the files of `sonarrec evaluate`. Default: none is written.
 
-    method: one or several to score; default: all, the framework first.
-    Warns where part of the input is not used or in doubt. Raises SonarrecError where files cannot
-    be used or have no frame in common.
+    Returns
+    -------
+    Evaluation
+        `table` has a row per method; rates are 0 to 1, errors m and deg. `figures`, `tests`,
+        `confusion`, `roc`, `passes` and `mistakes` are the tables of the files.
+
+    Raises
+    ------
+    SonarrecError
+        Files cannot be used, or have no frame in common.
+    UsageError
+        An option is invalid, or no truth is found.
     """
     scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
     logs = results if pairs is None else read_pairs(Path(pairs))
@@ -315,7 +347,7 @@ def evaluate(
     for line in found.unused:
         warnings.warn(line, stacklevel=2)
     if out is not None:
-        write_evaluation(Path(local(out)), found)
+        write_evaluation(Path(refuse_url(out)), found)
     return found
 
 
@@ -329,26 +361,30 @@ def evaluate_logs(
     Logs of equal name get the names of their folders.
     """
     options.check()
-    told, table = Diagnostics(), None  # the table of all logs; None if each has its own
+    diagnostics, table = Diagnostics(), None  # the table of all logs; None if each has its own
     if not isinstance(results, str | Path):
-        pairs = usable_pairs(results, told)
+        pairs = usable_pairs(results, diagnostics)
     elif ground_truth is None:
-        pairs = find_truths_beside(find_logs(Path(results)), told)
+        pairs = find_truths(find_logs(Path(results)), diagnostics)
     else:
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
-    scored, [counts], names = score_logs(logs, options, "scored", told, table and results)
-    told.problem(*_unprocessed(scored, as_one=table is not None))
+    scored, [counts], names = score_logs(logs, options, "scored", diagnostics, table and results)
+    diagnostics.problem(*_unprocessed(scored, as_one=table is not None))
     if table is not None:
         others = Diagnostics()
-        tell_other_logs(others, table, names, "they are not scored")
+        report_other_logs(others, table, names, "they are not scored")
         # If one log was asked for the rows of others are a note.
-        tell = told.note if [log.results for log in logs] == [(results,)] else told.problem
-        tell(*others.problems)
+        add = (
+            diagnostics.note
+            if [log.results for log in logs] == [(results,)]
+            else diagnostics.problem
+        )
+        add(*others.problems)
     if isinstance(results, str | Path):
-        told.note(*_failed(Path(results)))
-    told.note(*_notes(counts))
+        diagnostics.note(*_failed(Path(results)))
+    diagnostics.note(*_notes(counts))
     summary = summarise(counts)
     return Evaluation(
         counts=counts,
@@ -356,8 +392,8 @@ def evaluate_logs(
         min_visible=options.min_visible,
         folders=tuple(score.log.results[-1] for score in scored),
         truths=tuple(score.log.ground_truth for score in scored),
-        notes=(*map(printable, told.notes), *summary.notes),
-        unused=tuple(map(printable, told.problems)),
+        notes=(*map(printable, diagnostics.notes), *summary.notes),
+        unused=tuple(map(printable, diagnostics.problems)),
     )
 
 

@@ -106,7 +106,7 @@ def quantile(sums: FloatArray, values: FloatArray, share: float) -> FloatArray:
     sums: (draws, values) how many errors do not exceed each.
     """
     total = sums[:, -1:]
-    first = np.argmax(sums >= share * total - 1e-3, axis=1)  # counts: whole
+    first = np.argmax(sums >= share * total - 1e-3, axis=1)  # counts: integers
     return np.where(total[:, 0] > 0, values[first], np.nan)
 
 
@@ -165,11 +165,11 @@ class Sample:
     landmark: str
     per_unit: FloatArray
     """(U, ...) to be weighted and added up."""
-    whole: FloatArray
+    total: FloatArray
     """(1, ...) of all units, exact where those by unit are coarser."""
     values: tuple[FloatArray, ...] = ()
     """Of errors: the values at which the sums by unit count."""
-    whole_values: tuple[FloatArray, ...] = ()
+    total_values: tuple[FloatArray, ...] = ()
     """... and those at which the sums of all units do."""
     drawn: dict[str, FloatArray] = field(default_factory=dict)
     """Replicates of figures that were computed already."""
@@ -180,7 +180,7 @@ class Sample:
 
     def value(self, name: str) -> float:
         """A figure of all units."""
-        return float(METRICS[name].function(self.whole, *self.whole_values)[0])
+        return float(METRICS[name].function(self.total, *self.total_values)[0])
 
     def figures(self, name: str, sums: FloatArray) -> FloatArray:
         """(draws,) figures of sums as of `per_unit`."""
@@ -228,20 +228,20 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
         exact = roc[COUNTS].to_numpy().T
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
-        at = np.maximum(np.searchsorted(roc.fpr, FPR_GRID, side="right") - 1, 0)
+        index = np.maximum(np.searchsorted(roc.fpr, FPR_GRID, side="right") - 1, 0)
         sums = np.zeros((counts.units.number, 4, 1 + len(FPR_GRID)))
         for column, of_all in enumerate((points, base)):
             of = of_landmark(of_all, landmark)
             np.add.at(sums[:, :, column], of.unit.to_numpy(), of[COUNTS].to_numpy())
         mine = claims if landmark == TOTAL else claims[claims["landmark"] == int(landmark)]
-        bins = np.searchsorted(-roc.threshold.to_numpy()[at], -mine["score"] / MILLION)
+        bins = np.searchsorted(-roc.threshold.to_numpy()[index], -mine["score"] / MILLION)
         cell = mine["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
         for c, name in enumerate(COUNTS):
             added = np.bincount(cell, mine[name], len(sums) * len(FPR_GRID))
             sums[:, c, 1:] += added.reshape(len(sums), -1)
         np.cumsum(sums[:, :, 1:], axis=2, out=sums[:, :, 1:])
-        whole = np.column_stack([sums[:, :, 0].sum(axis=0), exact])[None]
-        yield Sample("rates", protocol, method, landmark, sums.astype(np.float32), whole)
+        total = np.column_stack([sums[:, :, 0].sum(axis=0), exact])[None]
+        yield Sample("rates", protocol, method, landmark, sums.astype(np.float32), total)
 
 
 def errors(counts: Counts, kind: str) -> Iterator[Sample]:
@@ -270,8 +270,8 @@ def errors(counts: Counts, kind: str) -> Iterator[Sample]:
             sums = np.cumsum(sums, axis=1).astype(np.float32)
             own = mine.select(["value", "n"]).added_up(["value"])
             own = own if len(own) else Table(value=values[:1], n=0)
-            whole = np.cumsum(own["n"]).astype(float)[None]
-            yield Sample(kind, "strict", method, landmark, sums, whole, (values,), (own["value"],))
+            total = np.cumsum(own["n"]).astype(float)[None]
+            yield Sample(kind, "strict", method, landmark, sums, total, (values,), (own["value"],))
 
 
 def calibration(counts: Counts) -> Iterator[Sample]:
@@ -336,9 +336,9 @@ def differences(
                 seen, a.figures(name, total_a + swapped), b.figures(name, total_b - swapped)
             )
             drawn = [of.replicates(name, weights) for of in (a, b)]
-            alike = all_equal(drawn[1] - drawn[0], np.concatenate(drawn))
-            note = "alike in every unit" if alike else ""
-            if not alike:
+            is_equal = all_equal(drawn[1] - drawn[0], np.concatenate(drawn))
+            note = "alike in every unit" if is_equal else ""
+            if not is_equal:
                 low, high = interval(drawn[1] - drawn[0], units)
         of = {"protocol": a.protocol, "a": a.method, "b": b.method, "landmark": a.landmark}
         found = {"value_a": values[0], "value_b": values[1], "low": low, "high": high, "p": p}

@@ -111,12 +111,12 @@ def _surest(log: Matched, judged: Table, missed: IntArray, beneath: IntArray | N
     """(n,) the estimate of the highest score for each missed truth, -1 if there is none: of those
     on it or, in protocol paper, of those of its ID in its frame. judged: of one method."""
     claims = judged["claim"][np.argsort(-judged["score"], kind="stable")][::-1]
-    place, wanted, places = beneath, missed, len(log.truths)
-    if place is None:
-        place, wanted = log.claims["cell"], log.truths["cell"][missed]
-        places = len(log.frame) * len(log.ids)
-    surest = np.full(places + 1, -1)  # the last one for claims on nothing, at -1
-    surest[place[claims]] = claims  # of several the last stays, which has the highest score
+    index, wanted, count = beneath, missed, len(log.truths)
+    if index is None:
+        index, wanted = log.claims["cell"], log.truths["cell"][missed]
+        count = len(log.frame) * len(log.ids)
+    surest = np.full(count + 1, -1)  # the last one for claims on nothing, at -1
+    surest[index[claims]] = claims  # of several the last stays, which has the highest score
     return surest[wanted]
 
 
@@ -133,24 +133,24 @@ def over_frames(log: Matched, wrong: Table) -> Table:
     group = ((of * ids + wrong["landmark"]) * 2 + wrong["kind"]) * (ids + 1) + other
     order = np.argsort(group * len(log.frame) + wrong["at"], kind="stable")
     group, wrong = group[order], wrong[order]
-    at, score, other = wrong["at"], wrong["score"], wrong["other"]
-    new = begins(group, log.stretch[at])
-    new[1:] |= np.diff(at) > GAP + 1
+    frame, score, other = wrong["at"], wrong["score"], wrong["other"]
+    new = begins(group, log.stretch[frame])
+    new[1:] |= np.diff(frame) > GAP + 1
     start, episode = np.flatnonzero(new), np.cumsum(new) - 1
-    end = np.append(start[1:], len(at))[: len(start)] - 1
+    end = np.append(start[1:], len(frame))[: len(start)] - 1
     usual = _most_frequent(other + 1, episode) - 1
-    off_middle = np.abs(2 * at - (at[start] + at[end])[episode])
+    off_middle = np.abs(2 * frame - (frame[start] + frame[end])[episode])
     rank = -score + 2 * (other != usual[episode])
     worst = np.lexsort((off_middle, rank, episode))[start]
     return Table(
         **{name: wrong[name][start] for name in ("protocol", "method", "kind", "landmark")},
         other=usual,
-        first=log.frame[at[start]],
-        last=log.frame[at[end]],
-        frames=np.bincount(episode[begins(group, at)], minlength=len(start)),
+        first=log.frame[frame[start]],
+        last=log.frame[frame[end]],
+        frames=np.bincount(episode[begins(group, frame)], minlength=len(start)),
         score=np.where(score[worst] < 0, np.nan, score[worst]),
         times=end + 1 - start,
-        worst=log.frame[at[worst]],
+        worst=log.frame[frame[worst]],
     )
 
 

@@ -1,4 +1,4 @@
-"""Finds the truth of results: in a table of pairs, or beside the log; and pairs old with new."""
+"""Finds the truth of results: by a table of pairs, or by the log; and pairs old with new."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def read_pairs(path: Path) -> list[Pair]:
     ]
 
 
-def usable_pairs(pairs: Iterable[Pair], told: Diagnostics) -> list[Pair]:
-    """The pairs that exist and have results of one log; each other one is told.
+def usable_pairs(pairs: Iterable[Pair], diagnostics: Diagnostics) -> list[Pair]:
+    """The pairs that exist and have results of one log; every other one is a problem.
 
     Raises SonarrecError if there is no such pair.
     """
@@ -69,12 +69,12 @@ def usable_pairs(pairs: Iterable[Pair], told: Diagnostics) -> list[Pair]:
             usable.append(pair)
     if not usable:
         raise faults[0] if faults else SonarrecError("no pair of results and ground truth to score")
-    told.problem(*(f"{fault}; not scored" for fault in faults))
+    diagnostics.problem(*(f"{fault}; not scored" for fault in faults))
     return usable
 
 
-def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]:
-    """Each results folder with the truth beside its log; one without truth is told.
+def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]:
+    """Each results folder with the truth found by its log; one without truth is a problem.
 
     run.toml says where the log is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
@@ -89,7 +89,7 @@ def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]
             unread.append(error)
             continue
         try:
-            truth = _truth_beside(folder, run.input)
+            truth = _truth_of_log(folder, run.input)
         except SonarrecError as error:
             without.append(f"{folder}: no ground truth: {error}")
             continue
@@ -107,19 +107,20 @@ def find_truths_beside(folders: Iterable[Path], told: Diagnostics) -> list[Pair]
     if not pairs:
         more = f" (and {number_of(len(without) - 1, 'more log')} without one)" * bool(without[1:])
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
-    told.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
+    diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     of, each = (pairs[0].results, "its log") if len(pairs) == 1 else (f"{len(pairs)} logs", "each")
-    told.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
+    diagnostics.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
     return pairs
 
 
-def _truth_beside(folder: Path, source: Input) -> Path:
-    """NAME.gt.csv, else gt.csv, beside the log that results were made from; for a folder, of images
-    or a bag, those in it, else NAME.gt.csv beside it. Raises SonarrecError if there is none."""
+def _truth_of_log(folder: Path, source: Input) -> Path:
+    """NAME.gt.csv, else gt.csv, in the folder of the log that results were made from; for a folder,
+    of images or a bag, those in it, else NAME.gt.csv next to it. Raises SonarrecError if there is
+    none."""
     found = recorded_at(folder, source)
-    truth = found.beside(TRUTH_FILE)
+    truth = found.companion(TRUTH_FILE)
     if truth is None:
-        name = f"{log_name(found.place)}.{TRUTH_FILE}"
+        name = f"{log_name(found.location)}.{TRUTH_FILE}"
         raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
     return truth
 
@@ -145,8 +146,8 @@ def check_of(truth: Path, log: LogResults, options: ScoringOptions) -> str:
     return ""
 
 
-def pair_up(old: Path, new: Path, told: Diagnostics) -> list[tuple[Path, Path]]:
-    """The old and the new folder of each log, by name; each folder without a partner is told.
+def pair_up(old: Path, new: Path, diagnostics: Diagnostics) -> list[tuple[Path, Path]]:
+    """The old and the new folder of each log, by name; a folder without a partner is a problem.
 
     Two folders of one log each are paired anyway.
     """
@@ -160,5 +161,7 @@ def pair_up(old: Path, new: Path, told: Diagnostics) -> list[tuple[Path, Path]]:
     if not pairs:
         raise SonarrecError(f"{old} and {new} have no log of one name in common")
     for side, one, other in ((old, earlier, later), (new, later, earlier)):
-        told.problem(*(f"{n}: is in {side} only; not compared" for n in one if n not in other))
+        diagnostics.problem(
+            *(f"{n}: is in {side} only; not compared" for n in one if n not in other)
+        )
     return pairs

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from sonarrec.evaluation.counts import Counts, corners
-from sonarrec.tables.outputs import plain, write_figure
+from sonarrec.tables.outputs import escape_mathtext, write_figure
 
 PUBLISHED = (("SMI", 0.0381, 0.8226), ("framework", 0.0276, 0.8648))
 """(method, FPR, TPR) of Tables 4 and 5, Total: the paper's only two points."""
@@ -40,8 +40,8 @@ def roc(counts: Counts, protocol: str, most: int = 2000) -> Roc:
     the worst operating point, at least at 0.1.
     """
     lines = {m: corners(counts.corners(m, protocol), most) for m in counts.methods}
-    at = [(m, counts.count(m, protocol)) for m in counts.methods]
-    points = _points([(m, c.fpr, c.tpr) for m, c in at], "{} at its operating point")
+    operating = [(m, counts.count(m, protocol)) for m in counts.methods]
+    points = _points([(m, c.fpr, c.tpr) for m, c in operating], "{} at its operating point")
     published = _points(PUBLISHED if protocol == "paper" else [], "published {}")
     worst = float(points.fpr.fillna(0).max())
     return Roc(lines, points, published, min(1.0, max(0.1, float(np.ceil(13 * worst) / 10))))
@@ -66,16 +66,16 @@ def draw_roc(path: Path, counts: Counts) -> None:
     figure = Figure(figsize=(5.2 * len(charts), 5.6), dpi=DPI, layout="constrained")
     panels = figure.subplots(1, len(charts), sharey=True, squeeze=False)[0]
     for axes, (protocol, chart) in zip(panels, charts.items(), strict=True):
-        at = chart.points.itertuples(index=False)
-        for n, (line, point) in enumerate(zip(chart.lines.values(), at, strict=True)):
+        points = chart.points.itertuples(index=False)
+        for n, (line, point) in enumerate(zip(chart.lines.values(), points, strict=True)):
             colour, style = COLOURS[n % len(COLOURS)], STYLES[n % len(STYLES)]
             axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.8, zorder=3)
             dot = {"ms": 9, "mec": "black", "zorder": 4, "clip_on": False}
-            label = plain(point.label)
+            label = escape_mathtext(point.label)
             axes.plot(point.fpr, point.tpr, "o" + style, label=label, color=colour, **dot)
         for point, marker in zip(chart.published.itertuples(), MARKERS, strict=False):
-            look = {"color": "none", "mec": "black", "ms": 13, "zorder": 5}
-            axes.plot(point.fpr, point.tpr, marker, label=plain(point.label), **look)
+            ring = {"color": "none", "mec": "black", "ms": 13, "zorder": 5}
+            axes.plot(point.fpr, point.tpr, marker, label=escape_mathtext(point.label), **ring)
         axes.set(
             title=f"protocol {protocol}",
             xlabel=f"false positive rate (axis ends at {right:g})",

@@ -143,7 +143,7 @@ def match(
     truths = Table(
         at=truth.frame_index[seen],
         landmark=of_set[truth.landmark_index[seen]],
-        **_place(truth.position, len(seen), seen),
+        **_position_columns(truth.position, len(seen), seen),
         orientation=np.nan if truth.orientation is None else truth.orientation[seen],
         paper=truth.visible[seen] >= PAPER_MIN_VISIBLE,
         strict=truth.visible[seen] >= min_visible,
@@ -152,7 +152,7 @@ def match(
         method=np.array([methods.index(name) for name in log.methods], dtype=np.int8)[log.method],
         at=log.frame_index,
         landmark=of_set[log.landmark_index],
-        **_place(log.position, count, slice(None)),
+        **_position_columns(log.position, count, slice(None)),
         orientation=log.orientation,
         score=np.round(log.score, DIGITS),
         declared=log.declared,
@@ -212,7 +212,7 @@ def matched(
     )
 
 
-def _place(position: FloatArray | None, count: int, rows: Any) -> dict[str, FloatArray]:
+def _position_columns(position: FloatArray | None, count: int, rows: Any) -> dict[str, FloatArray]:
     """The columns x and y of positions (count, 2); NaN if they are not known."""
     known = np.full((count, 2), np.nan) if position is None else position
     return {"x": known[rows, 0], "y": known[rows, 1]}
@@ -231,16 +231,17 @@ def find_passes(truths: Table, stretch: IntArray) -> tuple[Table, IntArray]:
     by more than half of the shorter one are one unit, since landmarks seen together are seen
     equally well.
     """
-    whole = np.flatnonzero(truths["strict"])
-    whole = whole[np.lexsort((truths["at"][whole], truths["landmark"][whole]))]
-    at, landmark = truths["at"][whole], truths["landmark"][whole]
-    new = begins(landmark, stretch[at])
-    new[1:] |= np.diff(at) > PASS_GAP + 1
+    counted = np.flatnonzero(truths["strict"])
+    counted = counted[np.lexsort((truths["at"][counted], truths["landmark"][counted]))]
+    frame, landmark = truths["at"][counted], truths["landmark"][counted]
+    new = begins(landmark, stretch[frame])
+    new[1:] |= np.diff(frame) > PASS_GAP + 1
     begin = np.flatnonzero(new)
-    first, last = at[begin], at[np.append(begin[1:], len(at))[: len(begin)] - 1]
+    end = np.append(begin[1:], len(frame))[: len(begin)] - 1
+    first, last = frame[begin], frame[end]
     order = np.lexsort((last, first))
     passage = np.full(len(truths), -1)
-    passage[whole] = np.argsort(order)[np.cumsum(new) - 1]
+    passage[counted] = np.argsort(order)[np.cumsum(new) - 1]
     first, last = first[order], last[order]
     return Table(
         passage=np.arange(len(order)),

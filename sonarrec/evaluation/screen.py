@@ -140,12 +140,12 @@ def _cell(value: float, low: float, high: float, digits: int, sign: str = "") ->
     return Cell(number(value, digits, sign), *span)
 
 
-def rate(part: int, whole: int) -> str:
+def rate(part: int, total: int) -> str:
     """A rate to four digits, halves upward as in the paper; "0.0000*" for 0/0."""
-    if whole == 0:
+    if total == 0:
         return "0.0000*"
     # In whole numbers: 52/640 = .08125 is printed as .0813; floating point would give .0812.
-    digits = (2 * 10_000 * part + whole) // (2 * whole)
+    digits = (2 * 10_000 * part + total) // (2 * total)
     return f"{digits // 10_000}.{digits % 10_000:04d}"
 
 
@@ -165,9 +165,9 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     names = [name for name, metric in METRICS.items() if metric.brief or details]
     for protocol in (main, *others) if details else (main,):
         lines += ["", f"protocol {protocol}, all IDs{over_units(summary.units)}"]
-        beside = (WIDTH - LABEL) // COLUMN
-        for first in range(0, len(counts.methods), beside):
-            some = counts.methods[first : first + beside]
+        columns = (WIDTH - LABEL) // COLUMN
+        for first in range(0, len(counts.methods), columns):
+            some = counts.methods[first : first + columns]
             lines.append(_row("", [m[: COLUMN - 1] for m in some]))
             for label, row in figures(summary, protocol, some, names):
                 lines.append(_row(label, list(map(_text, row))))
@@ -197,14 +197,14 @@ def _paper_tables(counts: Counts) -> list[str]:
         blocks = []
         for protocol in counts.protocols:
             gates = f": centre within {' or '.join(f'{g:g}' for g in counts.gates)} m"
-            told = gates * bool(counts.gates) if protocol == "strict" else ": position not checked"
+            how = gates * bool(counts.gates) if protocol == "strict" else ": position not checked"
             table = paper_table(counts, method, protocol)
             rows = [  # a star stands behind the digits
                 f"{label:<5}" + "".join(f"{c if '*' in c else c + ' ':>8}" for c in row)
                 for label, row in table.items()
             ]
             width = max(map(len, rows))
-            blocks.append([line.ljust(width) for line in (f"protocol {protocol}{told}", *rows)])
+            blocks.append([line.ljust(width) for line in (f"protocol {protocol}{how}", *rows)])
         if sum(len(b[1]) for b in blocks) + 3 * (len(blocks) - 1) <= WIDTH:
             rows = [" | ".join(row).rstrip() for row in zip(*blocks, strict=True)]
         else:

@@ -67,20 +67,20 @@ def interval(drawn: FloatArray, units: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def rate_interval(part: FloatArray, whole: FloatArray) -> tuple[float, float]:
+def rate_interval(part: FloatArray, cases: FloatArray) -> tuple[float, float]:
     """(low, high) at LEVEL of a rate, from its numerator and denominator in each unit, (U,).
 
     Wilson's interval, with Student's quantile and the effective number of cases: that of a binomial
     rate which varies as much as this one does between units, at most INDEPENDENT per unit.
     """
-    part, whole = part[whole > 0].astype(float), whole[whole > 0].astype(float)
-    units, total = len(whole), float(whole.sum())
+    part, cases = part[cases > 0].astype(float), cases[cases > 0].astype(float)
+    units, total = len(cases), float(cases.sum())
     rate = float(part.sum()) / total
-    variance = units / (units - 1) * float(np.square(part - rate * whole).sum()) / total**2
-    cases = min(total, INDEPENDENT * units)
+    variance = units / (units - 1) * float(np.square(part - rate * cases).sum()) / total**2
+    effective = min(total, INDEPENDENT * units)
     if variance > 0:
-        cases = min(cases, rate * (1 - rate) / variance)
-    widening = _student(units - 1) ** 2 / cases
+        effective = min(effective, rate * (1 - rate) / variance)
+    widening = _student(units - 1) ** 2 / effective
     middle = (rate + widening / 2) / (1 + widening)
     half = math.sqrt(widening * (rate * (1 - rate) + widening / 4)) / (1 + widening)
     return max(middle - half, 0.0), min(middle + half, 1.0)

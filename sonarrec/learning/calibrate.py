@@ -21,7 +21,7 @@ from sonarrec.errors import (
 )
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.learning.fit import fit, part_of
-from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, lain_on
+from sonarrec.learning.samples import HIDDEN, ON, Samples, Tracks, describe, label, on_a_track
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
@@ -66,8 +66,8 @@ def learn(
 ) -> LearningReport:
     """Learn an appearance model from logs and their gt.csv.
 
-    ground_truth: one for all; None: that beside each log. log_options: how the logs are read; poses
-    and frames do not count. observe: called at every frame.
+    ground_truth: one for all; None: that in the folder of each log. log_options: how the logs are
+    read; poses and frames do not count. observe: called at every frame.
     Raises SonarrecError if logs or truth cannot be used or hold too little.
     """
     if config.features.measurement != "track" or isinstance(landmarks, DrawnSet):
@@ -75,7 +75,7 @@ def learn(
             "an appearance model is learned for discs, with features.measurement = track; drawn "
             "plates have the built-in one, and the paper's preset has the published one"
         )
-    truths = [ground_truth or _truth_beside(path) for path in paths]
+    truths = [ground_truth or _truth_of_log(path) for path in paths]
     tables = {file: read_truth(file) for file in dict.fromkeys(truths)}
     for file, table in tables.items():
         if table.position is None:
@@ -86,31 +86,31 @@ def learn(
             raise UsageError(
                 f"{file}: of {many} logs, the truth needs a log column that names them"
             )
-    told = Diagnostics()
+    diagnostics = Diagnostics()
     lessons: list[_Lesson] = []
     for path, file in zip(paths, truths, strict=True):
         table = tables[file]
         with open_log(path, **log_options.arguments()) as log:
             # Results are named by the log's name, with folders in front if another has the same.
-            name = table.name_of(possible_names(log.name, find_log(log.path).place.resolve()))
+            name = table.name_of(possible_names(log.name, find_log(log.path).location.resolve()))
             if name in (lesson.log for lesson in lessons):
                 raise UsageError(f"{path}: a second log {name!r}; the truth tells logs by name")
-            lessons.append(_lesson(table, log, name, config, landmarks, observe, told))
+            lessons.append(_lesson(table, log, name, config, landmarks, observe, diagnostics))
     used = [lesson for lesson in lessons if lesson.misfit is None]
     names = [lesson.log for lesson in lessons]
     if not any(lesson.rows for lesson in used):
         misfits = [lesson.misfit for lesson in lessons if lesson.misfit is not None]
-        why = check.without_rows(file, len(table.at), names, "it shows no landmark")
+        why = check.without_rows(file, len(table.keys), names, "it shows no landmark")
         raise SonarrecError(misfits[0] if misfits else why)
     for file, table in tables.items():
         if truths.count(file) > 1:  # of one log a truth of several is used as it is
-            check.tell_other_logs(told, table, names, "they teach nothing")
-    return _learned(used, landmarks, told)
+            check.report_other_logs(diagnostics, table, names, "they teach nothing")
+    return _learned(used, landmarks, diagnostics)
 
 
-def _truth_beside(path: str | Path) -> Path:
-    """The truth of a log where none is named. Raises UsageError if none lies beside it."""
-    truth = find_log(path).beside(TRUTH_FILE)
+def _truth_of_log(path: str | Path) -> Path:
+    """The truth of a log where none is named. Raises UsageError if its folder has none."""
+    truth = find_log(path).companion(TRUTH_FILE)
     if truth is None:
         raise UsageError(
             f"{path}: no {TRUTH_FILE} in or beside it; label it ({HEADER}), or give --ground-truth"
@@ -144,7 +144,7 @@ def _lesson(
     config: Config,
     landmarks: LandmarkSet,
     observe: Callable[[], object] | None,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
 ) -> _Lesson:
     """Read one log, and label its tracks by the table's rows on it.
 
@@ -166,32 +166,32 @@ def _lesson(
     samples, strange = _labelled(tracks, truth, strangers)
     assert truth.position is not None
     shown = truth.visible > 0
-    met = shown & lain_on(tracks, truth.frame_index, truth.position)
+    met = shown & on_a_track(tracks, truth.frame_index, truth.position)
     labelled = [(rows.sum(), len(np.unique(truth.landmark_index[rows]))) for rows in (shown, met)]
-    unlike = check.misfit(table, tracks, truth)
-    if unlike is None and shown.any() and not (samples.label < len(landmarks.ids)).any():
+    misfit = check.misfit(table, tracks, truth)
+    if misfit is None and shown.any() and not (samples.label < len(landmarks.ids)).any():
         # Landmarks where the truth does not have them would be learned as "none of these".
-        unlike = (
+        misfit = (
             f"{table.path}: no track of {name} lies within {2 * ON * landmarks.radius_m:.3g} m of "
             f"any of its {number_of(int(shown.sum()), 'position')}; are they of this geometry?"
         )
-    told.note(*(f"{name}: {line}" for line in beams))
-    told.problem(*log.diagnostics.problems)
-    if unlike is not None:
-        told.problem(f"{unlike}; nothing is learned from {name}")
+    diagnostics.note(*(f"{name}: {line}" for line in beams))
+    diagnostics.problem(*log.diagnostics.problems)
+    if misfit is not None:
+        diagnostics.problem(f"{misfit}; nothing is learned from {name}")
     else:
         if proposed := check.unchecked(table, name):
-            told.note(f"{proposed}; they teach what the program takes for true already")
+            diagnostics.note(f"{proposed}; they teach what the program takes for true already")
         again = command_line("truth", "check", table.path, Path(log.path))
-        check.tell_fit(told, table, tracks, truth, again)
-        check.tell_rows(told, name, truth.rows, truth.between)
+        check.report_fit(diagnostics, table, tracks, truth, again)
+        check.report_rows(diagnostics, name, truth.rows, truth.between)
         if truth.unprocessed:
-            told.problem(
+            diagnostics.problem(
                 f"{table.path}: {truth.unprocessed} of {truth.rows} rows lie on no frame that "
                 f"was read of {name}; they teach nothing"
             )
     rows, frames = truth.rows + strangers.rows, len(tracks.frame)
-    return _Lesson(name, samples, strange, frames, rows, np.array(labelled), unlike)
+    return _Lesson(name, samples, strange, frames, rows, np.array(labelled), misfit)
 
 
 def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, BoolArray]:
@@ -208,7 +208,7 @@ def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, 
     samples = label(
         tracks,
         np.append(truth.frame_index, strangers.frame_index),
-        np.append(landmark, strangers.landmark_index + 1),  # apart from unlabelled tracks
+        np.append(landmark, strangers.landmark_index + 1),  # distinct from unlabelled tracks
         np.concatenate([truth.position, strangers.position]),
     )
     other = samples.label == ids
@@ -218,7 +218,9 @@ def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, 
     return replace(samples, label=np.minimum(samples.label, ids)), strange
 
 
-def _learned(used: Sequence[_Lesson], landmarks: LandmarkSet, told: Diagnostics) -> LearningReport:
+def _learned(
+    used: Sequence[_Lesson], landmarks: LandmarkSet, diagnostics: Diagnostics
+) -> LearningReport:
     """Learn from the lessons."""
     parts = [lesson.samples for lesson in used]
     built_in = built_in_model()
@@ -250,8 +252,8 @@ def _learned(used: Sequence[_Lesson], landmarks: LandmarkSet, told: Diagnostics)
             f"model {before.mean():.3f}, learned {after.mean():.3f}"
         )
     if unseen:
-        told.note(
+        diagnostics.note(
             f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they fit these "
             "IDs is not shown"
         )
-    return LearningReport(model, lines, told)
+    return LearningReport(model, lines, diagnostics)

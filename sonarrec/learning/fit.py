@@ -85,15 +85,15 @@ def _most_likely(
     least, step = np.inf, np.zeros_like(centre)
     for _ in range(60):
         loss, gradient, curvature = _likelihood(recordings, knots, curves)
-        pull = penalty @ (curves - centre)
-        loss += 0.5 * float((curves - centre) @ pull)
+        slope = penalty @ (curves - centre)
+        loss += 0.5 * float((curves - centre) @ slope)
         if loss > least + 1e-6 * abs(least):  # far from the minimum Newton's step overshoots
             step = step / 2
         else:
             gained, least, best = least - loss, loss, curves
             if gained < 1e-6 * abs(loss):
                 break
-            step = np.linalg.solve(curvature + penalty, gradient - pull)
+            step = np.linalg.solve(curvature + penalty, gradient - slope)
             step = step / max(1.0, float(np.abs(step).max()) / 5)  # no curve by more than 5
         curves = best + step
     return best
@@ -102,10 +102,10 @@ def _most_likely(
 def _basis(features: FloatArray, knots: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
     """(n, K, D) of features (n, K, F): 1, then the hat functions at every curve's knots."""
     hats = [np.ones((*features.shape[:2], 1), np.float32)]
-    for i, at in enumerate(knots):
-        row = np.arange(len(at))
-        place = np.interp(features[:, :, i], at, row)  # among the knots, between two of them
-        hats.append(np.maximum(1 - np.abs(place[..., None] - row), 0).astype(np.float32))
+    for i, values in enumerate(knots):
+        row = np.arange(len(values))
+        index = np.interp(features[:, :, i], values, row)  # among the knots, between two of them
+        hats.append(np.maximum(1 - np.abs(index[..., None] - row), 0).astype(np.float32))
     return np.concatenate(hats, axis=2)
 
 
@@ -113,8 +113,8 @@ def _penalty(knots: Sequence[FloatArray], bias: float = 1e-3) -> FloatArray:
     """(D, D) quadratic form: RIDGE on every value, SMOOTHNESS on every second difference."""
     form = np.diag([bias] + [RIDGE] * sum(map(len, knots)))
     start = 1
-    for at in knots:
-        bend, end = np.diff(np.eye(len(at)), 2, axis=0), start + len(at)
+    for values in knots:
+        bend, end = np.diff(np.eye(len(values)), 2, axis=0), start + len(values)
         form[start:end, start:end] += SMOOTHNESS * bend.T @ bend
         start = end
     return form

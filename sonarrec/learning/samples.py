@@ -112,7 +112,7 @@ def _distances(
         yield slice(a, b), np.linalg.norm(tracks.position[a:b] - where, axis=1) / diameter
 
 
-def lain_on(tracks: Tracks, row: IntArray, position: FloatArray) -> BoolArray:
+def on_a_track(tracks: Tracks, row: IntArray, position: FloatArray) -> BoolArray:
     """(T,) whether a track lies on each landmark. row, position: as in `label`."""
     distances = _distances(tracks, row, position)
     return np.array([bool((distance <= ON).any()) for _, distance in distances], dtype=bool)

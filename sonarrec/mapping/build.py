@@ -107,7 +107,7 @@ def make_map(
     """
     if landmarks is not None:
         load_landmarks(landmarks)  # so that a fault is not one of each log
-    told, copies = Diagnostics(), Diagnostics()
+    diagnostics, copies = Diagnostics(), Diagnostics()
     found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     logs, used = list[MappedLog](), list[Path]()
     landmark_set: LandmarkSet | None = None
@@ -128,13 +128,13 @@ def make_map(
         except SonarrecError as error:
             if len(found) == 1:
                 raise
-            told.problem(str(error))
+            diagnostics.problem(str(error))
             continue
         if once.add(folder, recording(folder, run)):
             logs += parts
             used.append(folder)
     if landmark_set is None or not logs:
-        raise SonarrecError("\n".join(["no log can be mapped", *told.problems]))
+        raise SonarrecError("\n".join(["no log can be mapped", *diagnostics.problems]))
     alone = list(dict.fromkeys(log.name for log in logs if not log.path.from_poses))
     if alone and len(used) > 1:
         raise UsageError(
@@ -142,20 +142,22 @@ def make_map(
             "poses with --odometry, or map the logs one by one"
         )
     for of in (*(log.diagnostics for log in logs), copies):
-        told.note(*of.notes)
-        told.problem(*of.problems)
+        diagnostics.note(*of.notes)
+        diagnostics.problem(*of.problems)
     # Without poses each path has axes of its own.
     of_axes = [[log] for log in logs] if alone else [logs]
     every = [landmark for part in of_axes for landmark in join(part, landmark_set)]
     kept = [one for one in every if frames_of(one.members) >= min_frames]
     for number, one in enumerate(kept, 1):
         if (others := frames_of(one.others)) >= min_frames:
-            told.note(
+            diagnostics.note(
                 f"landmark {number} (ID.{one.id}): other claims within a disc of it in {others} "
                 "frames; was it moved, or misread? (other_frames of map.csv)"
             )
     ros_axes = all(log.ros_axes for log in logs)
-    return SiteMap(landmark_set, kept, len(every) - len(kept), logs, len(used), told, ros_axes)
+    return SiteMap(
+        landmark_set, kept, len(every) - len(kept), logs, len(used), diagnostics, ros_axes
+    )
 
 
 def _read_log(
@@ -168,11 +170,11 @@ def _read_log(
     sonar: Sonar | None,
 ) -> list[MappedLog]:
     """One log, in a part for each of its paths. Raises SonarrecError if it is unusable."""
-    told, frames, ros_axes = Diagnostics(), read_frames(folder), False
+    diagnostics, frames, ros_axes = Diagnostics(), read_frames(folder), False
     if poses is None:
         if drift != NO_DRIFT:
             raise UsageError("--drift applies to given poses, and there are none; give --odometry")
-        paths = measured_motion_paths(folder, frames, told)
+        paths = measured_motion_paths(folder, frames, diagnostics)
     elif "timestamp_ns" not in frames:
         raise SonarrecError(
             f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
@@ -190,15 +192,15 @@ def _read_log(
     logs, first = list[MappedLog](), 0
     for path in paths:
         passes = find_passes(on_path(declared, first, path), path, landmarks, fan)
-        logs.append(MappedLog(folder.resolve().name, path, passes, fan, ros_axes, told))
+        logs.append(MappedLog(folder.resolve().name, path, passes, fan, ros_axes, diagnostics))
         first += len(path.frame)
     if not run.finished:
-        told.problem(cut_short(str(folder), len(frames["frame"]), "used"))
+        diagnostics.problem(cut_short(str(folder), len(frames["frame"]), "used"))
     elif changed := tables_changed(folder, run.input):
-        told.problem(*(f"{folder}: {line}" for line in changed))
+        diagnostics.problem(*(f"{folder}: {line}" for line in changed))
     used = sum(len(one.row) for log in logs for one in log.passes)
     if used < declared.rows:
-        told.problem(
+        diagnostics.problem(
             f"{folder}: {declared.rows - used} of {declared.rows} declared estimates left out: no "
             "pose is known in their frames, they are nearer than the floor, or frames.csv does not "
             "list their frames"
@@ -209,9 +211,9 @@ def _read_log(
 def _poses_of_run(folder: Path, run: RunFile) -> PoseTable | None:
     """The poses that a log was run with; None if it had none.
 
-    A topic is read from the log again. A table is searched, by its name and SHA-256, beside the log
-    and its folder, beside and above the results, and in the working folder. Raises SonarrecError if
-    the poses are not found.
+    A topic is read from the log again. A table is searched, by its name and SHA-256, in and above
+    the folder of the log, in and above that of the results, and in the working folder. Raises
+    SonarrecError if the poses are not found.
     """
     recorded, log = run.odometry, Path(run.table.get("input", {}).get("path", ""))
     if "topic" in recorded:

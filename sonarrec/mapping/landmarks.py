@@ -132,7 +132,7 @@ def read_declared(
         blank = np.full(len(declared), np.nan)
         columns = table | positions(table, fan)
         rows = {name: columns.get(name, blank)[chosen] for name in wanted}
-        if not (rows["object"] >= 0).all():  # two landmarks of one ID could not be kept apart
+        if not (rows["object"] >= 0).all():  # else two landmarks of one ID could be mixed up
             raise SonarrecError(
                 f"{path}: a track needs object; not every declared row of {method} has it"
             )
@@ -347,8 +347,8 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
         squared = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(total), offset)
         rotation = orientation[:i] - orientation[i]
         rotation = np.mod(rotation + period_deg / 2, period_deg) - period_deg / 2
-        whole = (squared + rotation**2 / spread) / GATE
-        return np.where(np.isfinite(whole), whole, squared / GATE_POSITION), np.hypot(*offset.T)
+        full = (squared + rotation**2 / spread) / GATE
+        return np.where(np.isfinite(full), full, squared / GATE_POSITION), np.hypot(*offset.T)
 
     group = np.full(len(passes), -1)
     for i in range(len(passes)):

@@ -116,7 +116,7 @@ def path_from_poses(
     frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift
 ) -> SonarPath:
     """The path that poses give. frame, timestamp_ns: (F,). Drift begins at the first known pose."""
-    pose = poses.at_times(timestamp_ns)
+    pose = poses.poses_at(timestamp_ns)
     first = int(np.isfinite(pose).all(axis=1).argmax())
     minutes = np.maximum(np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9, 0)
     minutes[: first + 1] = 0
@@ -207,10 +207,12 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
     begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
     first = np.flatnonzero(begins)
     if len(first):
-        at = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (len(first) > MOST_LISTED)
+        listed = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (
+            len(first) > MOST_LISTED
+        )
         diagnostics.note(
             f"{folder}: the motion over {number_of(len(first), 'pause')} is not known; each begins "
-            f"a path with axes of its own, at frame {at}"
+            f"a path with axes of its own, at frame {listed}"
         )
     paths = []
     for part in map(slice, [0, *first.tolist()], [*first.tolist(), len(frame)]):

@@ -17,7 +17,7 @@ from sonarrec.errors import number_of
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.landmarks import Landmark, MappedLog, ellipse
-from sonarrec.tables.outputs import plain, write_figure
+from sonarrec.tables.outputs import escape_mathtext, write_figure
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
@@ -77,7 +77,7 @@ def _title(site: SiteMap) -> str:
     count = number_of(len(site.landmarks), "landmark")
     names = list(dict.fromkeys(log.name for log in site.logs))
     logs = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
-    return plain(f"{count} of {site.landmark_set.name}: {logs}")
+    return escape_mathtext(f"{count} of {site.landmark_set.name}: {logs}")
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) -> None:

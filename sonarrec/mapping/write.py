@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from sonarrec.arrays import FloatArray
-from sonarrec.errors import local, number_of
+from sonarrec.errors import number_of, refuse_url
 from sonarrec.mapping.build import SiteMap, make_map
 from sonarrec.mapping.landmarks import Landmark, Pass, ellipse, frames_of
 from sonarrec.mapping.path import Drift
@@ -89,7 +89,7 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
     picture, earth = folder / "map.png", folder / "map.geojson"
     check_folder(folder, (*headers, "map.png", "map.geojson"))
     check_tables(folder, headers)
-    if not is_filled(folder / "map.csv"):  # beside it the others are of a map too, marked or not
+    if not is_filled(folder / "map.csv"):  # with it the others are of a map too, marked or not
         check_output(picture, "picture")
         check_output(earth, "JSON", header=GEOJSON_BEGIN)
     with writing(folder):
@@ -265,10 +265,36 @@ def map_landmarks(
     sonar: Sonar | Mapping[str, Any] | None = None,
     min_frames: int = 3,
 ) -> LandmarkMap:
-    """Map the landmarks of one log or of several, each one once.
+    """Map the landmarks of a site from the results of one log or of several, each landmark once.
 
-    out: a folder for the files of `sonarrec map`; default: none is written. odometry: table of
-    the poses. drift: standard error of the poses after one minute, m and deg.
+    Parameters
+    ----------
+    results : str, Path or sequence of these, default "sonarrec_out"
+        Folders of the results of single logs, or folders of such folders.
+    out : str or Path, optional
+        A folder for the files of `sonarrec map`. Default: none is written.
+    odometry : str or Path, optional
+        A table of the poses of all logs, in place of those that they were run with.
+    drift : tuple of float, default (0.0, 0.0)
+        The standard error of the poses after one minute: position in m, yaw in deg.
+    method : str, optional
+        Whose claims are mapped. Default: `framework`, or the only method.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    min_frames : int, default 3
+        Landmarks that are declared in fewer frames, over all passes, are left out.
+
+    Returns
+    -------
+    LandmarkMap
+        `landmarks` has a row per landmark, `passes` a row per pass; m and deg.
+
+    Raises
+    ------
+    SonarrecError
+        None of the logs can be used, they have no common axes, or `out` cannot be written.
     """
     site = make_map(
         [Path(results)] if isinstance(results, str | Path) else [*map(Path, results)],
@@ -280,7 +306,7 @@ def map_landmarks(
         min_frames=min_frames,
     )
     if out is not None:
-        write_all(Path(local(out)), site)
+        write_all(Path(refuse_url(out)), site)
     return LandmarkMap(
         landmarks=_table(MAP_COLUMNS, map_rows(site)),
         passes=_table(PASS_COLUMNS, pass_rows(site)),

@@ -24,8 +24,8 @@ from sonarrec.errors import (
     SonarrecError,
     UsageError,
     command_line,
-    local,
     number_of,
+    refuse_url,
 )
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
@@ -66,7 +66,7 @@ KINDS: dict[str, Kind] = {".mcap": "overlay", ".mp4": "video"}
 
 @dataclass(frozen=True, slots=True, repr=False)
 class OverlayReport:
-    """The method shown, the number of frames written, and what is to be told."""
+    """The method shown, the number of frames written, and the notes and problems."""
 
     method: str
     frames: int
@@ -90,20 +90,50 @@ def overlay(
     topic: str | None = None,
     observe: Callable[[int | None], None] | None = None,
 ) -> OverlayReport:
-    """Draw the results of one log onto its frames, in one pass.
+    """Draw the results of one log onto its frames, in one pass over the log.
 
-    log: or the results of one, whose run.toml says where the log is. out: what to write, by its
-    ending: NAME.mcap is annotations for Foxglove, NAME.mp4 a video, anything else a folder of PNGs.
-    results: the folder of this log's results, or one that holds it; None: sonarrec_out. method:
-    None: the framework. frames: (first, one past the last; None: to the end), or several such;
-    None: those of the run. landmarks, sonar, sonar_file, topic: replace what run.toml says.
-    observe: called after every frame with the number of frames, or None if unknown.
-    Raises SonarrecError if something cannot be used or the results are of another log, UsageError
-    for an invalid option.
+    Parameters
+    ----------
+    log : str or Path
+        The log; or the results of one, whose run.toml says where the log is.
+    out : str or Path
+        What to write: NAME.mcap for annotations that Foxglove shows, NAME.mp4 for a video, else a
+        folder for PNGs.
+    results : str or Path, optional
+        The folder of this log's results, or one that holds it. Default: sonarrec_out.
+    method : str, optional
+        Whose estimates are drawn. Default: the framework.
+    frames : tuple of int, or sequence of these, optional
+        (first, end) of the frames to draw, without `end`, which may be None: to the last. Default:
+        those of the run.
+    ground_truth : str or Path, optional
+        A gt.csv, whose landmarks are drawn too.
+    landmarks : str, optional
+        A landmark set, in place of that of run.toml.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
+    sonar_file : str or Path, optional
+        A sonar.toml, in place of that of run.toml.
+    topic : str, optional
+        The image channel of an MCAP or bag, in place of that of run.toml.
+    observe : callable, optional
+        Called after every frame with the number of frames, None if that is not known.
+
+    Returns
+    -------
+    OverlayReport
+        The method drawn, the number of frames written, notes and problems.
+
+    Raises
+    ------
+    SonarrecError
+        Something cannot be used, or the results are of another log.
+    UsageError
+        An option is invalid.
     """
     source, folder = find_both(Path(log), None if results is None else Path(results))
-    path, out = source.path, Path(local(out))
-    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    path, out = source.path, Path(refuse_url(out))
+    truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     kind = KINDS.get(out.suffix.lower(), "picture")
     if kind == "picture" and out.is_dir():
         check_output(out / "000000.png", kind, [path])
@@ -117,19 +147,23 @@ def overlay(
         same_log=source.reader.has_topics,  # else a topic in run.toml is another log's
     )
     spans = _spans(frames) or [run.span() or (0, None)]
-    method, told = choose_method(folder / "estimates.csv", method), Diagnostics()
+    method, diagnostics = choose_method(folder / "estimates.csv", method), Diagnostics()
     with open_log(source, **log_options.arguments()) as recording, ExitStack() as stack:
         check_same_log(recording, folder, run)
         if not run.finished:
             last = read_frames(folder)["frame"].max(initial=-1)
-            told.problem(f"{folder}: the run was cut short; frames after {last} have no results")
-        told.note(*rerun_left(folder))
-        told.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
+            diagnostics.problem(
+                f"{folder}: the run was cut short; frames after {last} have no results"
+            )
+        diagnostics.note(*rerun_left(folder))
+        diagnostics.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame
         truth: dict[int, list[Mark]] = {}
         if truth_file is not None:
-            truth = _truth_marks(truth_file, folder, landmarks, recording.sonar, first.fan, told)
+            truth = _truth_marks(
+                truth_file, folder, landmarks, recording.sonar, first.fan, diagnostics
+            )
         rows = read_estimates(folder / "estimates.csv", method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
         begins, stretch = Stretches().begins, 0
@@ -157,16 +191,16 @@ def overlay(
                     )
                 write(frame, history, truth.get(frame.index, ()))
                 written += 1
-        told.problem(*recording.diagnostics.problems)
+        diagnostics.problem(*recording.diagnostics.problems)
     if empty:
         without = ",".join(span_text(span) for span in spans if span in empty)
         line = f"{path}: no frame lies in --frames {without}{recording.why_none()}"
         if write is None:
             raise UsageError(line)
-        told.problem(line)
+        diagnostics.problem(line)
     if topic and run.input.topic not in (None, topic):
-        told.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
-    return OverlayReport(method, written, told)
+        diagnostics.note(f"{folder}: results of topic {run.input.topic}, drawn onto {topic}")
+    return OverlayReport(method, written, diagnostics)
 
 
 def _opened(
@@ -213,7 +247,13 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
     """
     if (path / "frames.csv").is_file():
         if results is not None:
-            raise UsageError(f"{path} and {results}: both hold results; leave one out")
+            try:
+                find_log(results)
+            except SonarrecError:
+                raise UsageError(
+                    f"{path} and {results}: both hold results; leave one out"
+                ) from None
+            raise UsageError(f"{path} holds results, {results} is a log: name the log first")
         try:
             return recorded_at(path, read_run(path / "run.toml").input), path
         except SonarrecError as error:
@@ -222,9 +262,9 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
             ) from None
     source, results = find_log(path), results or Path("sonarrec_out")
     # A run of several logs of one name put the names of their folders in front.
-    names = possible_names(source.name, source.place.resolve())
-    for place in (results, *(results / name for name in names)):
-        for folder in (place, part_of(place)):
+    names = possible_names(source.name, source.location.resolve())
+    for base in (results, *(results / name for name in names)):
+        for folder in (base, part_of(base)):
             if (folder / "frames.csv").is_file():
                 return source, folder
     raise MissingError(
@@ -234,9 +274,14 @@ def find_both(path: Path, results: Path | None = None) -> tuple[Source, Path]:
 
 
 def _truth_marks(
-    path: Path, folder: Path, landmarks: str | None, sonar: Sonar, fan: Fan, told: Diagnostics
+    path: Path,
+    folder: Path,
+    landmarks: str | None,
+    sonar: Sonar,
+    fan: Fan,
+    diagnostics: Diagnostics,
 ) -> dict[int, list[Mark]]:
-    """The landmarks in view by frame; none, which is told, if the truth cannot be that of the log.
+    """The landmarks in view by frame; none, and a problem, if the truth is not of the log.
 
     Raises SonarrecError if gt.csv has no positions.
     """
@@ -248,11 +293,11 @@ def _truth_marks(
     if positions is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
     if truth.rows:
-        unlike = misfit(table, log, truth)
+        why = misfit(table, log, truth)
     else:
-        unlike = without_rows(path, len(table.at), [log.name], "it shows no landmark")
-    if unlike is not None:
-        told.problem(f"{unlike}; no truth is drawn")
+        why = without_rows(path, len(table.keys), [log.name], "it shows no landmark")
+    if why is not None:
+        diagnostics.problem(f"{why}; no truth is drawn")
         return {}
     marks: dict[int, list[Mark]] = {}
     frames = log.frame[truth.frame_index].tolist()

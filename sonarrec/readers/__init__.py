@@ -22,16 +22,37 @@ def open_log(
     time: Clock = "log",
     up_to: Path | None = None,
 ) -> Log:
-    """Open a folder or glob of images, a video, an MCAP, a ROS bag or a sonar's own file.
+    """Open a log for reading its frames: images, a video, an MCAP, a ROS bag or a sonar's own file.
 
-    path: may also be a log that `find_log` found. sonar: keys that take precedence over those in
-    files, such as {"tilt_deg": 20.0}. sonar_file: in place of the sonar.toml beside the log (for a
-    folder or glob `sonar.toml` beside the images; for one file `NAME.sonar.toml`, else `sonar.toml`
-    in its folder). topic: the image channel of an MCAP file or a bag. time: which time of a message
-    becomes the time of its frame; the order of frames is always that of log time. up_to: the
-    highest folder searched for sonar.toml if there is none beside the log.
-    Raises SonarrecError if the log or its geometry cannot be used, UsageError if the topic or time
-    is invalid.
+    Parameters
+    ----------
+    path : str, Path or Source
+        A file, a folder or a glob of images; or a log that `find_log` found.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over files, such as {"tilt_deg": 20.0}, with the keys and
+        units of sonar.toml.
+    sonar_file : str or Path, optional
+        In place of the log's own sonar.toml: `sonar.toml` in a folder of images; of one file
+        `NAME.sonar.toml`, else `sonar.toml`, in its folder.
+    topic : str, optional
+        The image channel of an MCAP file or a bag.
+    time : {"log", "publish", "header"}, default "log"
+        Which time of a message becomes the time of its frame. Frames are always in the order of
+        log time.
+    up_to : Path, optional
+        The highest folder that is searched for a sonar.toml if the log has none of its own.
+
+    Returns
+    -------
+    Log
+        Iterate over it for Frames; it is a context manager that closes the file.
+
+    Raises
+    ------
+    SonarrecError
+        The log or its geometry cannot be used.
+    UsageError
+        The topic or time is invalid.
     """
     if isinstance(path, Source):
         source, path = path, path.path
@@ -54,7 +75,7 @@ def open_log(
             own = own_file(source.path, SONAR_FILE)
             chosen = [] if topic is None else ["--topic", topic]
             begin = command_line("info", Path(path), *chosen, "--write-sonar", own)
-            there = file is not None or source.beside(SONAR_FILE) is not None
+            there = file is not None or source.companion(SONAR_FILE) is not None
             how = "complete it" if there else f"{begin} begins a sonar.toml"
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give `run` options "
@@ -66,7 +87,7 @@ def open_log(
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
                 "--tilt-deg (downward, to within some 10 deg) or --height-m, or write one of the "
-                "two into a sonar.toml beside it"
+                "two into a sonar.toml next to it"
             )
     except SonarrecError:
         raw.close()

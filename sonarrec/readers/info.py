@@ -188,7 +188,7 @@ def _container(source: Source) -> Container:
     ]
     chunks = dict(sorted(log.chunks.items()))
     start, end = log.span or (None, None)
-    return Container(log.profile, log.library, log.whole, chunks, start, end, channels)
+    return Container(log.profile, log.library, log.complete, chunks, start, end, channels)
 
 
 def _images(
@@ -217,7 +217,7 @@ def _images(
     count = usable = 0
     rate = Rate()
 
-    def look(frame: StoredFrame) -> None:
+    def inspect(frame: StoredFrame) -> None:
         nonlocal count
         count += 1
         if frame.time_ns is not None:
@@ -231,13 +231,13 @@ def _images(
             observe(raw.frame_count)
 
     plausibility = Plausibility()
-    with Log(source, complete, raw, "log", look) as log:
+    with Log(source, complete, raw, "log", inspect) as log:
         try:
             if not raw.polar:
                 complete.complete(where)
             for frame in islice(log, 1 if quick else None):
                 usable += 1
-                plausibility.look(frame)
+                plausibility.inspect(frame)
         except SonarrecError as error:
             found.problems = [] if log.diagnostics.problems else [str(error)]
     found.problems = log.diagnostics.skipped or found.problems

@@ -32,8 +32,8 @@ class Log:
     """A recorded log, whose Frames are streamed; each pass gives the same. A context manager.
 
     name: of its results folder. frame_count: None if unknown. stated: the geometry that file and
-    flags state. header: the same of a sonar's own file. diagnostics: what is to be told about it,
-    complete after the pass. beam_width_deg: as stated, else as the first frame's message or
+    flags state. header: the same of a sonar's own file. diagnostics: faults and notes on the
+    log, complete after the pass. beam_width_deg: as stated, else as the first frame's message or
     header has it; None if neither does. untimed: whether 1 Hz was assumed so far, because neither
     frames nor geometry state times.
     """
@@ -296,7 +296,7 @@ def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:
             size = frame.pixels.shape[:2] if frame.ping is None else None
             held += frame.pixels.nbytes
             sizes[size] += 1
-            shown[size] += frame.shows
+            shown[size] += frame.has_content
         enough = max(shown.values(), default=0) >= SETTLING_FRAMES
         if enough or (held > SETTLING_BYTES and len(first) >= SETTLING_FRAMES):
             break

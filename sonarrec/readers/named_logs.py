@@ -138,8 +138,8 @@ def _below(top: Path) -> Iterator[Path]:
     folders are followed, last in their folder. A folder is searched once, and folders that hold
     `top` are not searched."""
     met = {os.fspath(above) for above in top.resolve().parents}
-    for place, folders, _ in os.walk(top, followlinks=True):
-        folder, real = Path(place), os.path.realpath(place)
+    for parent, folders, _ in os.walk(top, followlinks=True):
+        folder, real = Path(parent), os.path.realpath(parent)
         if real in met or _holds_results(folder):
             folders.clear()
             continue

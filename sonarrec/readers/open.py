@@ -1,4 +1,4 @@
-"""Finds the log at a path, the reader that opens it, and the files beside it.
+"""Finds the log at a path, the reader that opens it, and the files that belong to it.
 
 To add a format, write one module with a RawLog (or a Recording, for messages on channels) and add
 one row to READERS.
@@ -30,7 +30,7 @@ from sonarrec.tables import natural_order, something_else
 SONAR_FILE = "sonar.toml"
 LANDMARKS_FILE = "landmarks.toml"
 SHARED = frozenset({SONAR_FILE, LANDMARKS_FILE})
-"""Files of a sonar and a site, which serve several logs; they may lie beside a log's folder."""
+"""Files of a sonar and a site, which serve several logs; they may lie next to a log's folder."""
 
 
 Open = Callable[[Sequence[Path], Diagnostics], RawLog]
@@ -38,20 +38,20 @@ Open = Callable[[Sequence[Path], Diagnostics], RawLog]
 
 def _recorded(module: str, name: str) -> Callable[[Path, Diagnostics], Recording]:
     """A class of `containers`, whose libraries are loaded only where it is needed."""
-    place = f"sonarrec.readers.containers.{module}"
-    return lambda path, told: getattr(import_module(place), name)(path, told)
+    full_name = f"sonarrec.readers.containers.{module}"
+    return lambda path, diagnostics: getattr(import_module(full_name), name)(path, diagnostics)
 
 
 def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
     """The reader of a log that is one file."""
-    return lambda files, told: kind(files[0], told)
+    return lambda files, diagnostics: kind(files[0], diagnostics)
 
 
 @dataclass(frozen=True, slots=True)
 class Reader:
     """One kind of log: how its names end, and what opens it. Either open or recording is given.
     open: takes the list of files. recording: for messages on channels; takes the log's path. Both
-    take what is told of what is wrong. is_zip: whether such a file may be a ZIP."""
+    also take the Diagnostics that receive faults. is_zip: whether such a file may be a ZIP."""
 
     kind: str
     suffixes: frozenset[str]
@@ -68,7 +68,9 @@ class Reader:
 _IMAGES = Reader("image", IMAGE_SUFFIXES, ImageFiles)
 _ARRAYS = Reader("image", frozenset({ARRAY_SUFFIX}), ImageFiles)
 _BAG_FOLDER = Reader(
-    "ROS 2 bag", frozenset(), recording=lambda path, told: BagFolder(path, open_recording, told)
+    "ROS 2 bag",
+    frozenset(),
+    recording=lambda path, diagnostics: BagFolder(path, open_recording, diagnostics),
 )
 READERS = (
     _IMAGES,
@@ -91,18 +93,18 @@ _NOT_READ: dict[str | bytes, str] = {
     **{b"XML0": "an EK80", b"CON0": "an EK60", b"RIP1": "a 3D-15", b"RIP2": "a 3D-15"},
 }
 """Recordings of others, by their ending or a mark in their first bytes."""
-_BESIDE = (
+_COMPANIONS = (
     *("", ".toml", ".csv", ".tsv", ".txt", ".md", ".json", ".yaml", ".yml", ".xml", ".html"),
     *(".pdf", ".xlsx", ".ods", ".docx", ".log", ".py", ".ipynb", ".sh", ".svg", ".geojson"),
 )
-"""Endings of files that lie beside recordings, and are none."""
+"""Endings of files that are kept together with recordings, and are none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
     """A log that was found but not opened yet. name: of its results folder. files: all its files,
-    in order. diagnostics: what is to be told about the log. up_to: the highest folder searched for
-    files that belong to the log; None: only beside it."""
+    in order. diagnostics: faults and notes about the log. up_to: the highest folder searched for
+    files that belong to the log; None: only the folder in which it lies."""
 
     path: Path
     name: str
@@ -112,13 +114,13 @@ class Source:
     up_to: Path | None = None
 
     @property
-    def place(self) -> Path:
+    def location(self) -> Path:
         """The log's file or folder; for a glob of images, their folder."""
         return self.path if self.path.exists() else self.files[0].parent
 
-    def beside(self, name: str) -> Path | None:
+    def companion(self, name: str) -> Path | None:
         """A file that belongs to the log, such as its sonar.toml; None if there is none."""
-        return companion(self.place, name, self.up_to)
+        return companion(self.location, name, self.up_to)
 
     def check_topic(self, topic: str | None, where: str | Path) -> None:
         """Raise UsageError if a topic is given but the log has none. where: the log as given."""
@@ -147,7 +149,7 @@ class Source:
     def stated_sonar(self, flags: Sonar, sonar_file: Path | None) -> tuple[Sonar, str]:
         """(the geometry that file and flags state, its name in error messages). Raises UsageError
         if the file is invalid, or what is stated contradictory."""
-        file = sonar_file or self.beside(SONAR_FILE)
+        file = sonar_file or self.companion(SONAR_FILE)
         stated = Sonar() if file is None else load_sonar(file)
         # Bearings take precedence over a field of view, but flags take precedence over the file.
         is_fan = (flags.layout or stated.layout) == "fan"
@@ -185,24 +187,24 @@ def find_log(path: str | Path, up_to: Path | None = None) -> Source:
 
 def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     """The file `name` that belongs to a log (a file or folder); None if there is none. Searched in
-    this order: LOG.name and then name, beside a file or inside a folder; LOG.name beside a folder;
-    both in the folders above, up to and with `up_to`; one of SHARED beside a folder."""
+    this order: LOG.name and then name, next to a file or inside a folder; LOG.name next to a
+    folder; both in the folders above, up to and with `up_to`; one of SHARED next to a folder."""
     own_name = own_file(log, name).name
     folder = log if log.is_dir() else log.parent
-    places = [folder / own_name, folder / name]
+    candidates = [folder / own_name, folder / name]
     parent = log.parent if log.name not in ("", "..") else log.resolve().parent
     if folder == log:
-        places.append(parent / own_name)
+        candidates.append(parent / own_name)
     if up_to is not None and up_to.resolve() in folder.resolve().parents:
         for above in folder.resolve().relative_to(up_to.resolve()).parents:
-            places += [up_to / above / own_name, up_to / above / name]
+            candidates += [up_to / above / own_name, up_to / above / name]
     elif folder == log and name in SHARED:
-        places.append(parent / name)
-    return next(filter(os.path.isfile, places), None)
+        candidates.append(parent / name)
+    return next(filter(os.path.isfile, candidates), None)
 
 
 def own_file(log: Path, name: str) -> Path:
-    """Where the file `name` of this log alone would be: beside it, called LOG.name."""
+    """Where the file `name` of this log alone would be: in the same folder, called LOG.name."""
     return log.parent / f"{log_name(log)}.{name}"
 
 
@@ -216,7 +218,7 @@ def log_name(path: Path) -> str:
 
 def names_a_log(name: str) -> bool:
     """Whether a file of this name is a log by itself: a known kind other than an image.
-    LICENSE.sample.aris is none: it tells of a log that lies beside it."""
+    LICENSE.sample.aris is none: it is the licence of another file."""
     about = re.match(r"(licen[cs]e|readme|copying|notice)\b", name, re.IGNORECASE)
     return about is None and name.lower().endswith(_LOG_ENDINGS)
 
@@ -299,7 +301,7 @@ def not_read(entries: Iterable[Path]) -> str:
     """How many files of each ending may be recordings, and are not read; empty if none is."""
     shown = (path for path in entries if path.name[0] != "." and path.is_file())
     endings = Counter(path.suffix.lower() for path in shown)
-    for ending in {*_ENDINGS, *_BESIDE} & {*endings}:
+    for ending in {*_ENDINGS, *_COMPANIONS} & {*endings}:
         del endings[ending]
     return ", ".join(f"{count} {ending}" for ending, count in endings.most_common())
 

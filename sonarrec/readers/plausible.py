@@ -1,4 +1,4 @@
-"""Checks whether a log's fan images contradict their stated geometry. Only clear cases are told."""
+"""Checks whether a log's fan images contradict their stated geometry; reports clear cases only."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Plausibility:
         self._sum: FloatArray | None = None
         self._frames = 0
 
-    def look(self, frame: Frame) -> None:
+    def inspect(self, frame: Frame) -> None:
         """Add a frame. Polar ones, and all after the first FRAMES, are ignored."""
         if self._frames == FRAMES or frame.polar is not None:
             return
@@ -48,8 +48,8 @@ class Plausibility:
         if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
             text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
             if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
-                turned = f"--range-order {sonar.other_range_order}"
-                return [f"{text}, but none if it is turned upside down: {turned}"]
+                option = f"--range-order {sonar.other_range_order}"
+                return [f"{text}, but none once it is upside down: try {option}"]
             if share > _FILLED:
                 return [f"{text} (is it polar, --layout polar?)"]
             keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from sonarrec.tables.read import Table
 
 POSES_FILE = "poses.csv"
-"""Poses beside a log (or NAME.poses.csv), used if the user gives none."""
+"""The poses that belong to a log (or NAME.poses.csv), used if the user gives none."""
 HEADER = "timestamp,yaw,x,y"
-LOOK_ALIKE = (
+SIMILAR_NAMES = (
     *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
     *("east", "north", "east_m", "north_m", "easting", "northing"),
     *("lat", "lon", "latitude", "longitude"),
 )
 """Names, in lower case, that other programs give to positions. They are refused: without x and y
 the sonar would be taken to turn in one place."""
-# How the unit of a column `timestamp` is recognised: rows of a steady pan may be half a minute
-# apart, and nobody writes 2,000 a second. Steps in between must be milliseconds or microseconds.
+# How the unit of a column `timestamp` is recognised: a steady pan may have only two rows a
+# minute, and nobody writes 2,000 a second. Steps in between must be milliseconds or microseconds.
 SECONDS_BELOW = 50
 NANOSECONDS_FROM = 500_000
 # The message types read, with the fields that lead to the pose inside each.
@@ -63,7 +63,7 @@ def read_poses(path: Path) -> PoseTable:
         )
     if ("x" in table) != ("y" in table):
         raise SonarrecError(f"{path}: x and y go together; give both or neither")
-    similar = [name for name in read_header(path, HEADER) if name.lower() in LOOK_ALIKE]
+    similar = [name for name in read_header(path, HEADER) if name.lower() in SIMILAR_NAMES]
     if "x" not in table and similar:
         raise SonarrecError(
             f"{path}: no position can be read from the columns {', '.join(similar)}: expected x,y "
@@ -92,7 +92,7 @@ def _times_ns(path: Path, table: Table) -> IntArray:
     step = float(np.median(steps))
     if SECONDS_BELOW <= step < NANOSECONDS_FROM:
         raise SonarrecError(
-            f"{path}: timestamp must be seconds or nanoseconds; rows {step:g} apart are "
+            f"{path}: timestamp must be seconds or nanoseconds; steps of {step:g} are "
             "neither (milliseconds or microseconds?); name nanoseconds timestamp_ns"
         )
     times = np.rint(times * 1e9 if step < SECONDS_BELOW else times)

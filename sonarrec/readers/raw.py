@@ -60,13 +60,13 @@ class StoredFrame:
     white: int | None = None
 
     @property
-    def shows(self) -> bool:
+    def has_content(self) -> bool:
         """Whether it could be read, and is not blank."""
         return self.pixels is not None and bool(self.pixels.any())
 
     @property
     def is_lost(self) -> bool:
-        """Whether there is nothing to say of it: it was passed over, or is told with others."""
+        """Whether it needs no line of its own: it was passed over, or lost together with others."""
         return self.pixels is None and self.problem is None
 
 
@@ -112,14 +112,14 @@ class HeaderInfo:
 class RawLog(ABC):
     """One opened log: a pass over its frames, in time order, one in memory at a time.
 
-    A further pass begins anew.
+    Each pass begins at the first frame.
 
     frame_count: number of frames; None if unknown before the end. topic: the channel read; None if
     the log has no channels. polar: whether frames state their own geometry. header_info: for a
-    sonar's own file. playback_hz: of a video, the rate that its times follow. diagnostics: is told
-    what is wrong or uncertain, all of it by the end of the pass. passed_over: numbers of frames
-    that are not needed; they are yielded without pixels and without a problem. It may be set during
-    the pass. close: closes what is open.
+    sonar's own file. playback_hz: of a video, the rate that its times follow. diagnostics:
+    receives what is wrong or uncertain, all of it by the end of the pass. passed_over: numbers of
+    frames that are not needed; they are yielded without pixels and without a problem. It may be set
+    during the pass. close: closes what is open.
     """
 
     def __init__(self, diagnostics: Diagnostics, *, polar: bool = False) -> None:
@@ -152,7 +152,7 @@ class FileBytes:
         self.size = self._file.seek(0, 2)
         self.close = self._file.close
 
-    def at(self, offset: int, count: int) -> bytes:
+    def read(self, offset: int, count: int) -> bytes:
         """`count` bytes from `offset` on; fewer if the file ends before."""
         self._file.seek(min(offset, self.size))
         return self._file.read(max(min(count, self.size - offset), 0))
@@ -163,7 +163,7 @@ class FileBytes:
         """Where `mark` first begins, at `start` or later and before `end`; None if nowhere. is_one:
         whether what begins there is what is looked for."""
         while start < end:
-            block = self.at(start, min(_BLOCK, end - start) + len(mark) - 1)
+            block = self.read(start, min(_BLOCK, end - start) + len(mark) - 1)
             position = start + block.find(mark)
             if position >= start and is_one(position):
                 return position
@@ -201,9 +201,9 @@ class Recording(ABC):
 
     channels: by the container's own numbers. counts: number of messages of each. profile, library:
     what wrote it; empty if not stated. span: first and last log time in ns; None without messages.
-    chunks: number of chunks by compression. whole: whether its writer closed it and it is not cut.
-    diagnostics: is told what is wrong or uncertain, all of it by the end of a pass. close: closes
-    what is open.
+    chunks: number of chunks by compression. complete: whether its writer closed it and it is not
+    cut. diagnostics: receives what is wrong or uncertain, all of it by the end of a pass.
+    close: closes what is open.
     """
 
     def __init__(self, path: Path, diagnostics: Diagnostics, profile: str = "") -> None:
@@ -212,7 +212,7 @@ class Recording(ABC):
         self.counts, self.chunks = Counter[int](), Counter[str]()
         self.profile, self.library = profile, ""
         self.span: tuple[int, int] | None = None
-        self.whole = True
+        self.complete = True
         self.close: Callable[[], object] = lambda: None
 
     @abstractmethod
@@ -243,12 +243,12 @@ class Recording(ABC):
 def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometry:
     """The geometry of a ping from the ranges of its bins' middles and its beams' bearings. Raises
     UnusableError if these are impossible."""
-    steps, turns = np.diff(ranges_m), np.diff(bearings_deg)
-    if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(steps > 0):
+    range_steps, bearing_steps = np.diff(ranges_m), np.diff(bearings_deg)
+    if len(ranges_m) < 2 or ranges_m[0] < 0 or not np.all(range_steps > 0):
         raise UnusableError("ranges do not rise from bin to bin")
     if ranges_m[-1] - ranges_m[0] < MIN_WINDOW_M:
         raise UnusableError(f"a window of {ranges_m[-1] - ranges_m[0]:g} m")
-    if len(bearings_deg) < 2 or not (np.all(turns > 0) or np.all(turns < 0)):
+    if len(bearings_deg) < 2 or not (np.all(bearing_steps > 0) or np.all(bearing_steps < 0)):
         raise UnusableError("bearings do not run one way from beam to beam")
     if np.abs(bearings_deg).max() >= 90:
         raise UnusableError("bearings of 90 deg and more")
@@ -257,7 +257,7 @@ def ping_geometry(ranges_m: FloatArray, bearings_deg: FloatArray) -> PingGeometr
     ranges = None
     least = first / 64  # resampling cannot show smaller differences
     if np.abs(ranges_m - even).max() > least:
-        first, last = steps[0], steps[-1]
+        first, last = range_steps[0], range_steps[-1]
         ranges = tuple(ranges_m.tolist())
     elif ranges_m[0] < first / 2 - least:  # else the first bin would begin behind the sonar
         ranges = tuple(ranges_m.tolist())

@@ -12,7 +12,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
-from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, whole_steps
+from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, rounded_steps
 from sonarrec.recogniser.stage3.smi import Identification
 from sonarrec.records import Estimate, Groups
 
@@ -102,7 +102,7 @@ class Estimates:
         range_sigma, bearing_sigma = self._plane.polar_sigma(positions, POSITION_SHARE * spread)
         column, row = self._plane.to_fan(*positions.T)
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
-        _, left_deg = whole_steps(objects.sight_deg)
+        _, left_deg = rounded_steps(objects.sight_deg)
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
         orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.enough_evidence

@@ -16,7 +16,7 @@ from sonarrec.recogniser.plane import as_complex
 class Particles:
     """n groups of as many particles each.
 
-    places: (n, particles, 2) float32, (column, row) in working pixels.
+    positions: (n, particles, 2) float32, (column, row) in working pixels.
     """
 
     def __init__(self, config: Continuity, rng: np.random.Generator) -> None:
@@ -24,23 +24,23 @@ class Particles:
         self._share: npt.NDArray[np.float32] = np.full(
             (1, config.particles), 1 / config.particles, np.float32
         )
-        self.places: npt.NDArray[np.float32] = np.empty((0, config.particles, 2), np.float32)
+        self.positions: npt.NDArray[np.float32] = np.empty((0, config.particles, 2), np.float32)
 
-    def begin(self, places: FloatArray, sigma: float) -> None:
+    def begin(self, positions: FloatArray, sigma: float) -> None:
         """Add a group of normally distributed particles round each of (n, 2) positions.
 
         sigma: standard deviation along each axis, pixels.
         """
-        cloud = self._noise(len(places), sigma) + places[:, None].astype(np.float32)
-        self.places = np.concatenate([self.places, cloud])
+        cloud = self._noise(len(positions), sigma) + positions[:, None].astype(np.float32)
+        self.positions = np.concatenate([self.positions, cloud])
 
-    def take(self, rows: Sequence[int]) -> None:
+    def keep(self, rows: Sequence[int]) -> None:
         """Keep these groups alone, in this order."""
-        self.places = self.places[rows]
+        self.positions = self.positions[rows]
 
     def walk(self, sigma: float) -> None:
         """Eq. 3: every particle takes a random step, Gaussian, `sigma` pixels in each axis."""
-        self.places += self._noise(len(self.places), sigma)
+        self.positions += self._noise(len(self.positions), sigma)
 
     def _noise(self, groups: int, sigma: float) -> npt.NDArray[np.float32]:
         shape = (groups, self._config.particles, 2)
@@ -50,7 +50,7 @@ class Particles:
 
     def mean(self) -> npt.NDArray[np.float32]:
         """(n, 2) the particles' mean. A product, since mean(axis=1) takes twenty times as long."""
-        return np.asarray((self._share @ self.places)[:, 0])
+        return np.asarray((self._share @ self.positions)[:, 0])
 
     def weigh(self, score_map: FloatImage, step: int = 1) -> FloatArray:
         """Eq. 4: (n, particles) weights from the score map; each group's sum to 1.
@@ -58,9 +58,9 @@ class Particles:
         step: as in Selection.
         """
         config = self._config
-        if len(self.places) == 0:  # OpenCV refuses empty maps
-            return np.empty(self.places.shape[:2])
-        where = self.places
+        if len(self.positions) == 0:  # OpenCV refuses empty maps
+            return np.empty(self.positions.shape[:2])
+        where = self.positions
         if step > 1:
             where = where * np.float32(1 / step)
             where += np.float32(0.5 / step - 0.5)
@@ -81,17 +81,17 @@ class Particles:
 
     def weighted(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 2) weighted means and standard deviations, in pixels. weight: from `weigh`."""
-        mean = (weight[:, None] @ self.places)[:, 0]
+        mean = (weight[:, None] @ self.positions)[:, 0]
         # In one piece: subtracting along the last axis of two takes four times as long.
-        offset = as_complex(self.places) - as_complex(mean.astype(np.float32))[:, None]
+        offset = as_complex(self.positions) - as_complex(mean.astype(np.float32))[:, None]
         square = np.square(offset.view(np.float32), out=offset.view(np.float32))
-        return mean, np.sqrt((weight[:, None] @ square.reshape(self.places.shape))[:, 0])
+        return mean, np.sqrt((weight[:, None] @ square.reshape(self.positions.shape))[:, 0])
 
     def resample(self, weight: FloatArray) -> None:
         """Systematic resampling: as many particles again, drawn by their weights.
 
-        Ticks lie 1 / particles apart on the cumulative weight, from a random start. A particle is
-        drawn once for every tick in its share.
+        Ticks lie on the cumulative weight at steps of 1 / particles, from a random start. A
+        particle is drawn once for every tick in its share.
         """
         groups, n = weight.shape
         ticks = weight.cumsum(axis=1)
@@ -101,6 +101,6 @@ class Particles:
         np.minimum(drawn, n, out=drawn)
         drawn[:, -1] = n  # whatever rounding left
         drawn[:, 1:] -= drawn[:, :-1].copy()
-        flat = as_complex(self.places).ravel()
+        flat = as_complex(self.positions).ravel()
         again = np.repeat(flat, drawn.ravel())
-        self.places = again.view(np.float32).reshape(groups, n, 2)
+        self.positions = again.view(np.float32).reshape(groups, n, 2)

@@ -89,7 +89,7 @@ class Plane(ABC):
         """
 
     @abstractmethod
-    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
+    def _shifted(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         """(column, row) of static objects after the motion's shift, before its pan."""
 
     def cut(self, inside: ByteImage) -> Self:
@@ -127,15 +127,15 @@ class Plane(ABC):
     def moved(self, position: FloatArray, motion: Motion) -> FloatArray:
         """(..., 2) working pixels of static objects on the floor after a motion of the sonar."""
         if motion.right_m or motion.ahead_m:
-            carried = self._carried(position[..., 0], position[..., 1], motion)
-            position = np.stack(carried, axis=-1).astype(position.dtype, copy=False)
+            shifted = self._shifted(position[..., 0], position[..., 1], motion)
+            position = np.stack(shifted, axis=-1).astype(position.dtype, copy=False)
         pan = math.radians(motion.pan_deg)
-        places = as_complex(position)
-        apex = places.dtype.type(complex(*self.apex))
-        after = (places - apex) * places.dtype.type(complex(math.cos(pan), -math.sin(pan))) + apex
+        points = as_complex(position)
+        apex = points.dtype.type(complex(*self.apex))
+        after = (points - apex) * points.dtype.type(complex(math.cos(pan), -math.sin(pan))) + apex
         return np.asarray(after.view(position.dtype).reshape(position.shape))
 
-    def sight_turned(self, before: FloatArray, after: FloatArray, motion: Motion) -> FloatArray:
+    def sight_rotation(self, before: FloatArray, after: FloatArray, motion: Motion) -> FloatArray:
         """(n,) rotation over the floor of the line of sight to static objects by a motion, deg.
 
         before, after: (n, 2) working pixels; the latter from `moved`. Counter-clockwise, seen from
@@ -143,12 +143,12 @@ class Plane(ABC):
         """
         if not (motion.right_m or motion.ahead_m):
             return np.zeros(len(before))
-        turned = np.degrees(self.line_of_sight(after) - self.line_of_sight(before))
-        turned -= motion.pan_deg
-        return np.asarray((turned + 180) % 360 - 180)
+        rotation = np.degrees(self.line_of_sight(after) - self.line_of_sight(before))
+        rotation -= motion.pan_deg
+        return np.asarray((rotation + 180) % 360 - 180)
 
     def line_of_sight(self, position: FloatArray) -> FloatArray:
-        """(n,) direction away from the sonar at (n, 2) working pixels, rad.
+        """(n,) direction from the sonar to each of (n, 2) working pixels, rad.
 
         Counter-clockwise from the image's right, seen from above.
         """
@@ -186,7 +186,7 @@ class FanPlane(Plane):
     ) -> Values:
         return self.fan.metres_per_pixel
 
-    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
+    def _shifted(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         range_m, bearing_deg = self.to_polar(column, row)
         ground = np.nan_to_num(ground_range(self.fan, range_m))  # nearer than the floor: below
         bearing = np.radians(bearing_deg)
@@ -310,7 +310,7 @@ class FloorPlane(Plane):
         ground_m = self._pixel_m * distance
         return np.asarray(ground_m * self._pixel_m / self.to_polar(*position.T)[0])
 
-    def _carried(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
+    def _shifted(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         return column - motion.right_m / self._pixel_m, row + motion.ahead_m / self._pixel_m
 
 

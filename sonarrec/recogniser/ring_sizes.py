@@ -43,7 +43,7 @@ class RingSizes:
         self._kept: list[Frame] = []
         self._seen, self._every, self._fitting = 0, 1, 0
 
-    def look(self, frame: Frame, contrast: float = 0.0) -> None:
+    def inspect(self, frame: Frame, contrast: float = 0.0) -> None:
         """Keep a frame out of so many that no more than KEPT are held.
 
         contrast: the best score of its candidates, if stage 1 looked for rings.

@@ -43,11 +43,11 @@ LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 # again on pixels, which costs as much as the search on LARGE images.
 LARGE, SEARCHED, LEAST_RADIUS = 2**16, 2, 4.5
 COARSE_SHARE, LEAST_SHARE = 0.77, 0.63
-BESIDE = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
+NEIGHBOURHOOD = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
 # At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
 # or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
-# grow in proportion, up to MOST_TIMES. All measured kinds of scene have smaller floors.
-MOST_PEAKS, FLOOR_DISCS, MOST_TIMES = 64, 300, 8
+# grow in proportion, up to MOST_FACTOR. All measured kinds of scene have smaller floors.
+MOST_PEAKS, FLOOR_DISCS, MOST_FACTOR = 64, 300, 8
 
 
 class CandidateSelector:
@@ -65,9 +65,9 @@ class CandidateSelector:
         self._config = config
         self._surroundings = Surroundings(plane)
         discs = self._surroundings.cells / (np.pi * plane.axes[0] * plane.axes[1])
-        times = min(max(discs / FLOOR_DISCS, 1), MOST_TIMES)
-        self._most_peaks = round(times * MOST_PEAKS)
-        self._most = round(times * config.max_candidates)
+        factor = min(max(discs / FLOOR_DISCS, 1), MOST_FACTOR)
+        self._most_peaks = round(factor * MOST_PEAKS)
+        self._most = round(factor * config.max_candidates)
         self._diameter = 2 * plane.axes[0], 2 * plane.axes[1]
         self._detector: Detector
         if detector is not None:
@@ -86,42 +86,44 @@ class CandidateSelector:
         score = np.clip(maps.score, 0, 1, out=maps.score)
         return Selection(score, positions, scores, levels.mean, maps.sigma, maps.step)
 
-    def levels(self, selection: Selection, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def levels(self, selection: Selection, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) mean and standard deviation of the grey levels around (n, 2) positions, pixels."""
         around = self._surroundings
-        return around.at(selection.mean, places), around.at(selection.sigma, places)
+        return around.values_at(selection.mean, positions), around.values_at(
+            selection.sigma, positions
+        )
 
     def _peaks(self, maps: ScoreMaps) -> tuple[FloatArray, FloatArray]:
         """(n, 2) sub-pixel positions of peaks above the threshold, (n,) scores; best first."""
         peaks, least = maps.peaks, self._config.threshold
         searched = least if maps.on_pixels is None else LEAST_SHARE / COARSE_SHARE * least
-        top = (peaks >= cv2.dilate(peaks, BESIDE)) & (maps.peak_score >= searched)
+        top = (peaks >= cv2.dilate(peaks, NEIGHBOURHOOD)) & (maps.peak_score >= searched)
         index = np.flatnonzero(top)
         height, scores = peaks.ravel()[index], maps.peak_score.ravel()[index].astype(float)
         order = np.lexsort((-height, -scores))[: self._most_peaks]
         positions, scores = _refine(peaks, index[order]), scores[order]
         if maps.on_pixels is not None:
-            places = maps.step * (positions + 0.5) - 0.5
-            places = places[self._apart(places, 2 * self._most)]
-            positions, scores = maps.on_pixels(places)
+            positions = maps.step * (positions + 0.5) - 0.5
+            positions = positions[self._suppress_neighbours(positions, 2 * self._most)]
+            positions, scores = maps.on_pixels(positions)
             order = np.argsort(-scores, kind="stable")[: np.count_nonzero(scores >= least)]
             positions, scores = positions[order], scores[order]
-        kept = self._apart(positions, self._most)
+        kept = self._suppress_neighbours(positions, self._most)
         return positions[kept], np.minimum(scores[kept], 1)
 
-    def _apart(self, positions: FloatArray, most: int) -> list[int]:
+    def _suppress_neighbours(self, positions: FloatArray, most: int) -> list[int]:
         """Indices of the peaks, best first, that are not too near a better one; `most` of them."""
         across, along = self._diameter
         kept: list[int] = []
-        places: list[tuple[float, float]] = []
+        better: list[tuple[float, float]] = []
         # Few are kept, so plain numbers are faster than arrays.
         for i, (x, y) in enumerate(positions.tolist()):
             if all(
                 math.hypot((x - u) / across, (y - v) / along) >= self._config.separation
-                for u, v in places
+                for u, v in better
             ):
                 kept.append(i)
-                places.append((x, y))
+                better.append((x, y))
                 if len(kept) == most:
                     break
         return kept
@@ -137,7 +139,7 @@ class Levels(NamedTuple):
     sigma: FloatImage
     """Standard deviation there; not far below that of the whole frame, else the noise of a uniform
     patch would score as rings."""
-    whole: float
+    frame_sigma: float
     """Standard deviation over the whole frame."""
 
 
@@ -152,32 +154,32 @@ class Surroundings:
         self._size = (size, size)
         self._inside = plane.inside
         self.cells = max(1, int(np.count_nonzero(plane.inside)))
-        self._block = _shrunk(_whole(plane.inside).astype(np.float32), COARSE)
+        self._block = _downsampled(_padded_to_blocks(plane.inside).astype(np.float32), COARSE)
         self._seen = np.maximum(self._blur(self._block), np.float32(1e-3))
 
     def __call__(self, image: ByteImage) -> Levels:
         """The levels of a working image."""
-        grey = _whole(image * self._inside)
-        half = _shrunk(grey.astype(np.float32), SEARCHED)
-        block = _shrunk(half, COARSE // SEARCHED)
+        grey = _padded_to_blocks(image * self._inside)
+        half = _downsampled(grey.astype(np.float32), SEARCHED)
+        block = _downsampled(half, COARSE // SEARCHED)
         mean = np.asarray(self._blur(block) / self._seen, np.float32)
         # The relief is the level over that of the surroundings, which is even within a block.
-        power = _shrunk(_shrunk(np.square(grey, dtype=np.uint16), 2), COARSE // 2).astype(
+        power = _downsampled(_downsampled(np.square(grey, dtype=np.uint16), 2), COARSE // 2).astype(
             np.float32
         )
         power += mean * (mean * self._block - 2 * block)
         # A black or uniform frame has only rounding errors as relief.
         variance = max(float(power.sum()), 0.0) * COARSE**2 / self.cells
-        whole = max(math.sqrt(variance), LEAST_SIGMA)
-        least = np.float32((LEAST_LOCAL_SIGMA * whole) ** 2)
+        frame_sigma = max(math.sqrt(variance), LEAST_SIGMA)
+        least = np.float32((LEAST_LOCAL_SIGMA * frame_sigma) ** 2)
         sigma = np.sqrt(np.maximum(self._blur(power) / self._seen, least), dtype=np.float32)
-        return Levels(half, mean, sigma, whole)
+        return Levels(half, mean, sigma, frame_sigma)
 
-    def at(self, coarse: FloatImage, places: FloatArray) -> FloatArray:
+    def values_at(self, coarse: FloatImage, positions: FloatArray) -> FloatArray:
         """(n,) values on the coarse grid, interpolated to the pixels at (n, 2) positions."""
-        if len(places) == 0:  # OpenCV refuses empty maps
+        if len(positions) == 0:  # OpenCV refuses empty maps
             return np.empty(0)
-        pixel = np.clip(np.rint(places), 0, np.array(self._inside.shape[::-1]) - 1)
+        pixel = np.clip(np.rint(positions), 0, np.array(self._inside.shape[::-1]) - 1)
         column, row = ((pixel + 0.5) / COARSE - 0.5).astype(np.float32).T
         found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, float).ravel()
@@ -187,14 +189,14 @@ class Surroundings:
         return np.asarray(cv2.blur(blocks, self._size, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _whole(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _padded_to_blocks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """(rows, columns) values, padded with 0 to whole blocks of the coarse grid."""
     rows, columns = (-side % COARSE for side in values.shape)
     filled = cv2.copyMakeBorder(values, 0, rows, 0, columns, cv2.BORDER_CONSTANT, value=0)
     return np.asarray(filled)
 
 
-def _shrunk(values: npt.NDArray[Any], factor: int) -> npt.NDArray[Any]:
+def _downsampled(values: npt.NDArray[Any], factor: int) -> npt.NDArray[Any]:
     """Means over blocks of factor x factor."""
     size = (values.shape[1] // factor, values.shape[0] // factor)
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
@@ -225,7 +227,7 @@ class ScoreMaps(NamedTuple):
     """Of the working image's pixels from one of the maps' to the next."""
     on_pixels: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
     """Where the maps are coarser than the image: (n, 2) exact positions, (column, row), and (n,)
-    scores of the discs at or beside (n, 2) places."""
+    scores of the discs at or next to (n, 2) positions."""
 
 
 class Detector(Protocol):
@@ -249,7 +251,7 @@ class EdgeScore:
         self._gain = _gain(plane.inside.astype(np.float32), outline.astype(float), config)
         # The fan's own edge, widened by the blur, must not count as an edge of the image.
         border = BLUR_PX // 2 + 1
-        self._away = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
+        self._clear_of_edge = cv2.erode(plane.inside, np.ones((2 * border + 1,) * 2, np.uint8))
         self._tolerance = np.ones((2 * EDGE_TOLERANCE_PX + 1,) * 2, np.uint8)
 
     def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
@@ -258,7 +260,7 @@ class EdgeScore:
         grey_sigma = float(cv2.meanStdDev(image, mask=self._inside)[1][0, 0])
         blurred = cv2.GaussianBlur(image, (BLUR_PX, BLUR_PX), 0)
         edges = cv2.Canny(blurred, config.canny_low * grey_sigma, config.canny_high * grey_sigma)
-        edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._away), self._tolerance)
+        edges = cv2.dilate(cv2.bitwise_and(edges, edges, mask=self._clear_of_edge), self._tolerance)
         on_edge = (edges > 0).astype(np.float32)
         score = self._correlate(on_edge) * self._gain
         # The tolerance makes plateaus. The circle is at the middle of a plateau, and gets the score
@@ -266,7 +268,7 @@ class EdgeScore:
         size = 2 * EDGE_TOLERANCE_PX + 3
         peaks = np.asarray(cv2.GaussianBlur(score, (size, size), 0), np.float32)
         best = np.asarray(cv2.dilate(score, np.ones((size, size), np.uint8)), np.float32)
-        return ScoreMaps(score, peaks, best, np.full((1, 1), levels.whole, np.float32))
+        return ScoreMaps(score, peaks, best, np.full((1, 1), levels.frame_sigma, np.float32))
 
 
 class RingScore:
@@ -288,7 +290,8 @@ class RingScore:
             """The kernel on blocks of step x step pixels, and the ring's part of it."""
             radius, pixel = _radii(plane, step)
             bands = [
-                _shrunk(_band(radius, band, pixel), step) for band in (landmarks.ring, gap, OUTSIDE)
+                _downsampled(_band(radius, band, pixel), step)
+                for band in (landmarks.ring, gap, OUTSIDE)
             ]
             ring, within, outside = (band / band.sum() for band in bands)
             kernel = ring - share * within - (1 - share) * outside
@@ -297,7 +300,7 @@ class RingScore:
         large = plane.inside.size > LARGE and min(plane.axes) >= SEARCHED * LEAST_RADIUS
         self._step = step = SEARCHED if large else 1
         kernel, ring = contrast(step)
-        self._inside = _shrunk(_whole(plane.inside).astype(np.float32), step)
+        self._inside = _downsampled(_padded_to_blocks(plane.inside).astype(np.float32), step)
         self._correlate = Correlation(kernel.astype(np.float32), self._inside.shape)
         self._gain = _gain(self._inside, ring, config) / np.float32(config.ring_full_contrast)
         scale = np.float32(1 if step == 1 else 1 / COARSE_SHARE)
@@ -314,7 +317,7 @@ class RingScore:
     def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """Contrast is in standard deviations of the relief around each pixel."""
         step, shape = self._step, self._inside.shape
-        grey = levels.half if step == SEARCHED else _whole(image) * self._inside
+        grey = levels.half if step == SEARCHED else _padded_to_blocks(image) * self._inside
         relief = grey - upsample(levels.mean, shape, step) * self._inside
         score = self._correlate(relief)
         score *= self._scaled_gain
@@ -323,25 +326,27 @@ class RingScore:
         return ScoreMaps(score, score, score, levels.sigma, step, exact)
 
     def _on_pixels(
-        self, image: ByteImage, levels: Levels, places: FloatArray
+        self, image: ByteImage, levels: Levels, positions: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """As ScoreMaps.on_pixels."""
         around = self._surroundings
         # Whole blocks may exceed the image.
-        pixel = np.minimum(np.rint(places).astype(int), np.array(image.shape[::-1]) - 1)
-        patches = np.empty((2, len(places), self._side, self._side), np.uint8)
+        pixel = np.minimum(np.rint(positions).astype(int), np.array(image.shape[::-1]) - 1)
+        patches = np.empty((2, len(positions), self._side, self._side), np.uint8)
         padded = self._padded(image)
         for n, (column, row) in enumerate(pixel.tolist()):
             part = slice(row, row + self._side), slice(column, column + self._side)
             patches[0, n], patches[1, n] = padded[part], self._pixels[part]
-        grey, inside = patches.reshape(2, len(places), self._side**2)
+        grey, inside = patches.reshape(2, len(positions), self._side**2)
         # The surroundings' level is nearly even within a patch, and the kernel sums to 0.
-        relief = (grey - around.at(levels.mean, pixel)[:, None]) * inside
+        relief = (grey - around.values_at(levels.mean, pixel)[:, None]) * inside
         found = (relief @ self._patch).reshape(-1, 3, 3)
         lines = np.stack([found[:, 1], found[:, :, 1]])  # along a row, and down a column
         before, here, after = np.moveaxis(lines, 2, 0)
         shift = _vertex(before, here, after, 1.0)
-        gain = self._gain[tuple(pixel[:, ::-1].T // self._step)] / around.at(levels.sigma, pixel)
+        gain = self._gain[tuple(pixel[:, ::-1].T // self._step)] / around.values_at(
+            levels.sigma, pixel
+        )
         scores = found.max(axis=(1, 2), initial=0) * gain
         # Rounded, since the last digits of a product depend on the processor.
         return np.round(pixel + shift.T, 4), np.round(scores, 6)
@@ -462,9 +467,9 @@ def _refine(score: FloatImage, index: IndexArray) -> FloatArray:
     rows, columns = score.shape
     row, column = np.divmod(index, columns)
     pixels, step = score.ravel(), np.array([[1], [columns]])  # along a row, and down a column
-    row_at, column_at = np.maximum(row, 1), np.maximum(column, 1)
-    at = np.minimum(row_at, rows - 2) * columns + np.minimum(column_at, columns - 2)
-    shift = _vertex(pixels[at - step], pixels[at], pixels[at + step])
+    inner_row, inner_column = np.maximum(row, 1), np.maximum(column, 1)
+    inner = np.minimum(inner_row, rows - 2) * columns + np.minimum(inner_column, columns - 2)
+    shift = _vertex(pixels[inner - step], pixels[inner], pixels[inner + step])
     return np.asarray((np.stack([column, row]) + shift).T, float)
 
 

@@ -32,7 +32,7 @@ from sonarrec.recogniser.plane import Plane, as_complex
 from sonarrec.records import Groups, Motion, Selection
 
 NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
-WHOLE = 0.9  # share of a disc in view from which on its object should be a candidate
+FULLY_VISIBLE = 0.9  # share of a disc in view from which on its object should be a candidate
 # What follows was set by hand on simulated recordings; distances are in disc diameters. Where the
 # motion is known, a group this far from where it should have taken it has left its object, and is
 # deleted, or remembered where it is out of view.
@@ -50,7 +50,7 @@ RECALL, RECALL_DRIFT, RECALL_MOST, RECALL_IN_VIEW = 0.2, 0.02, 0.5, 0.5
 
 @dataclass(slots=True)
 class _Group:
-    """What is known of a group beside its particles. There are few, so plain numbers do."""
+    """What is known of a group, without its particles. There are few, so plain numbers do."""
 
     number: int
     """Stable over frames."""
@@ -62,7 +62,7 @@ class _Group:
     """Probability that there is an object, 0 to 1."""
     sight_deg: float = 0.0
     """Rotation over the floor of the line of sight to it since the group began."""
-    strikes: int = 0
+    too_wide: int = 0
     """Frames in which the group was too wide, counted as Continuity.count_strikes says."""
     # Of a remembered one:
     frames_left: int = 0
@@ -98,7 +98,7 @@ class ContinuityFilter:
     def begin_stretch(self) -> None:
         """Forget all groups; numbers go on."""
         self._groups, self._lost = [], []
-        self._particles.take([])
+        self._particles.keep([])
 
     def step(self, selection: Selection, motion: Motion | None = None) -> Groups:
         """The groups after one frame, by rising number.
@@ -112,8 +112,8 @@ class ContinuityFilter:
         before = [(g.x, g.y) for g in self._groups]
         sigma = self._sigma
         if motion is not None:
-            particles.places = self._plane.moved(particles.places, motion)
-            self._carry([*self._groups, *self._lost], motion)
+            particles.positions = self._plane.moved(particles.positions, motion)
+            self._apply_motion([*self._groups, *self._lost], motion)
             sigma = math.hypot(self._sigma_known, self._uncertain(motion))
         particles.walk(sigma)
         expected = particles.mean()
@@ -124,30 +124,30 @@ class ContinuityFilter:
         positions, spread = particles.weighted(weight)
         particles.resample(weight)
         spread /= self._diameter
-        # Strike.
+        # Count hits and misses.
         near = self._distances(positions, selection.positions) < self._config.merge
         hit: list[bool] = np.asarray(near.any(axis=1)).tolist()
-        pulled = self._pulled(positions - expected, motion)
-        self._place(positions, hit, pulled, motion)
+        moved_off = self._moved_off_prediction(positions - expected, motion)
+        self._update_positions(positions, hit, moved_off, motion)
         shown, in_view = self._in_view(positions, before, hit, motion)
-        self._strike(spread, hit, in_view)
+        self._count_misses(spread, hit, in_view)
         # Delete.
-        kept = self._delete(pulled, in_view, motion)
+        kept = self._delete(moved_off, in_view, motion)
         positions, spread, shown = positions[kept], spread[kept], [shown[i] for i in kept]
         # Begin.
-        born = self._begin(positions, selection.positions)
-        if born:
-            places = np.array([(g.x, g.y) for g in born])
-            particles.begin(places, self._sigma_new)
-            groups = self._groups + born
+        new = self._begin(positions, selection.positions)
+        if new:
+            starts = np.array([(g.x, g.y) for g in new])
+            particles.begin(starts, self._sigma_new)
+            groups = self._groups + new
             # A recalled group has an old number, so the order must be restored.
             order = sorted(range(len(groups)), key=lambda i: groups[i].number)
             self._groups = [groups[i] for i in order]
-            particles.take(order)
-            wide = np.full((len(born), 2), self._sigma_new) / self._diameter
-            positions = np.concatenate([positions, places])[order]
+            particles.keep(order)
+            wide = np.full((len(new), 2), self._sigma_new) / self._diameter
+            positions = np.concatenate([positions, starts])[order]
             spread = np.concatenate([spread, wide])[order]
-            shown += [self._shows(g.x, g.y) >= self._config.least_in_view for g in born]
+            shown += [self._visible_share(g.x, g.y) >= self._config.least_in_view for g in new]
             shown = [shown[i] for i in order]
         return Groups(
             numbers=np.array([g.number for g in self._groups], np.int64),
@@ -162,9 +162,9 @@ class ContinuityFilter:
     def centre(self, groups: Groups) -> None:
         """Shift whole groups to the positions in `groups`, which were measured more exactly."""
         shift = groups.positions - self._particles.mean()
-        self._particles.places += shift[:, None].astype(np.float32)
-        for group, place in zip(self._groups, groups.positions.tolist(), strict=True):
-            group.x, group.y = place
+        self._particles.positions += shift[:, None].astype(np.float32)
+        for group, position in zip(self._groups, groups.positions.tolist(), strict=True):
+            group.x, group.y = position
 
     def _without_neighbours(self, weight: FloatArray, candidates: FloatArray) -> FloatArray:
         """(n, particles) weights, 0 for particles that are nearer to a neighbour's candidate.
@@ -177,28 +177,28 @@ class ContinuityFilter:
         if not self._groups or len(candidates) < 2:
             return weight
         own = np.array([(g.x, g.y) for g in self._groups])
-        apart = self._distances(own, candidates)
-        if ((apart < 1 + OWN_CANDIDATE).sum(axis=1) < 2).all():
+        distance = self._distances(own, candidates)
+        if ((distance < 1 + OWN_CANDIDATE).sum(axis=1) < 2).all():
             return weight  # as usual
-        there = apart.min(axis=1) <= OWN_CANDIDATE
-        own[there] = candidates[apart.argmin(axis=1)[there]]
-        apart = self._distances(own, candidates)
-        neighbours = (apart > OWN_CANDIDATE) & (apart < 1)
+        there = distance.min(axis=1) <= OWN_CANDIDATE
+        own[there] = candidates[distance.argmin(axis=1)[there]]
+        distance = self._distances(own, candidates)
+        neighbours = (distance > OWN_CANDIDATE) & (distance < 1)
         if not neighbours.any():
             return weight
         theirs = np.zeros(weight.shape, bool)
         for candidate in np.flatnonzero(neighbours.any(axis=0)):
-            place, beside = candidates[candidate], neighbours[:, candidate]
+            position, groups = candidates[candidate], neighbours[:, candidate]
             # Which side of the perpendicular bisector a particle is on, in disc diameters.
-            way = (place - own[beside]) / self._diameter**2
-            middle = (place + own[beside]) / 2
-            off = self._particles.places[beside] - middle[:, None].astype(np.float32)
-            theirs[beside] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
+            way = (position - own[groups]) / self._diameter**2
+            middle = (position + own[groups]) / 2
+            off = self._particles.positions[groups] - middle[:, None].astype(np.float32)
+            theirs[groups] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
         kept = np.where(theirs, 0.0, weight)
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
 
-    def _pulled(self, moved: FloatArray, motion: Motion | None) -> list[bool]:
+    def _moved_off_prediction(self, moved: FloatArray, motion: Motion | None) -> list[bool]:
         """Which groups are too far from where the motion expects them. moved: (n, 2) by how far.
 
         Objects on the floor do not move, so such a group has left its object for another.
@@ -219,17 +219,17 @@ class ContinuityFilter:
 
         Those just coming in count as in view. before: positions in the last frame.
         """
-        shares = [self._shows(g.x, g.y) for g in self._groups]
+        shares = [self._visible_share(g.x, g.y) for g in self._groups]
         if motion is not None:
             # At the fan's edge particles may stay behind their object, or leave before it.
-            of_particles = [self._shows(x, y) for x, y in positions.tolist()]
+            of_particles = [self._visible_share(x, y) for x, y in positions.tolist()]
             shares = [min(both) for both in zip(shares, of_particles, strict=True)]
         shown = [share >= self._config.least_in_view for share in shares]
         if motion is None or all(shown):
             return shown, shown
         coming = [
-            is_hit and share > self._shows(*place)
-            for is_hit, share, place in zip(hit, shares, before, strict=True)
+            is_hit and share > self._visible_share(*position)
+            for is_hit, share, position in zip(hit, shares, before, strict=True)
         ]
         return shown, [a or b for a, b in zip(shown, coming, strict=True)]
 
@@ -241,54 +241,56 @@ class ContinuityFilter:
         if not (motion.right_m or motion.ahead_m):
             return 0.0
         fan = self._plane.fan
-        turned = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
-        return self._pixels(math.hypot(turned, motion.right_sigma_m, motion.ahead_sigma_m))
+        by_pan = math.radians(motion.pan_sigma_deg) * (fan.range_min_m + fan.range_max_m) / 2
+        return self._pixels(math.hypot(by_pan, motion.right_sigma_m, motion.ahead_sigma_m))
 
     def _pixels(self, metres: float) -> float:
         """A length on the floor in working pixels."""
         return metres * self._plane.scale / self._plane.fan.metres_per_pixel
 
-    def _place(
+    def _update_positions(
         self,
         positions: FloatArray,
         hit: Sequence[bool],
-        pulled: Sequence[bool],
+        moved_off: Sequence[bool],
         motion: Motion | None,
     ) -> None:
         """Update the objects' positions: the group's own where it is hit, else moved by the motion.
 
         Remembered groups are moved too, and their drift grows.
         """
-        rows = zip(self._groups, positions.tolist(), hit, pulled, strict=True)
-        for group, place, is_hit, is_pulled in rows:
-            if motion is None or (is_hit and not is_pulled):
-                group.x, group.y = place
+        rows = zip(self._groups, positions.tolist(), hit, moved_off, strict=True)
+        for group, position, is_hit, is_off in rows:
+            if motion is None or (is_hit and not is_off):
+                group.x, group.y = position
         if motion is None:
             self._lost = []  # their positions are no longer known
         elif self._lost:
-            carried = 0.0
+            shift = 0.0
             if motion.right_m or motion.ahead_m:
-                carried = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
-                carried = self._pixels(carried) / self._across
+                shift = math.hypot(motion.right_sigma_m, motion.ahead_sigma_m)
+                shift = self._pixels(shift) / self._across
             x, y = self._plane.apex
             for lost in self._lost:
-                away = self._diameters(lost.x - x, lost.y - y)
-                turned = math.radians(motion.pan_sigma_deg) * away
-                lost.drift += turned**2 + carried**2 + RECALL_DRIFT**2
+                distance = self._diameters(lost.x - x, lost.y - y)
+                by_pan = math.radians(motion.pan_sigma_deg) * distance
+                lost.drift += by_pan**2 + shift**2 + RECALL_DRIFT**2
 
-    def _carry(self, groups: Sequence[_Group], motion: Motion) -> None:
+    def _apply_motion(self, groups: Sequence[_Group], motion: Motion) -> None:
         """Move positions by the sonar's motion, and rotate the lines of sight to them."""
         if not groups:
             return
         before = np.array([(g.x, g.y) for g in groups])
         after = self._plane.moved(before, motion)
-        turned = self._plane.sight_turned(before, after, motion).tolist()
-        for group, place, by in zip(groups, after.tolist(), turned, strict=True):
-            group.x, group.y = place
+        rotation = self._plane.sight_rotation(before, after, motion).tolist()
+        for group, position, by in zip(groups, after.tolist(), rotation, strict=True):
+            group.x, group.y = position
             group.sight_deg += by
 
-    def _strike(self, spread: FloatArray, hit: Sequence[bool], in_view: Sequence[bool]) -> None:
-        """Count strikes of groups that are too wide, and update existence by hit or miss (Bayes).
+    def _count_misses(
+        self, spread: FloatArray, hit: Sequence[bool], in_view: Sequence[bool]
+    ) -> None:
+        """Count frames in which groups are too wide; update existence by hit or miss (Bayes).
 
         Existence does not change while the object is out of view, where a miss is no evidence.
         """
@@ -297,9 +299,9 @@ class ContinuityFilter:
         rows = zip(self._groups, wide, hit, in_view, strict=True)
         for group, is_wide, is_hit, is_seen in rows:
             if is_wide:
-                group.strikes += 1
+                group.too_wide += 1
             elif config.count_strikes != "in_all":
-                group.strikes = 0
+                group.too_wide = 0
             if is_seen:
                 of_object = group.existence * (P_HIT_OBJECT if is_hit else 1 - P_HIT_OBJECT)
                 clutter = P_HIT_CLUTTER if is_hit else 1 - P_HIT_CLUTTER
@@ -308,15 +310,15 @@ class ContinuityFilter:
                 group.existence = min(max(existence, 0.01), 0.99)
 
     def _delete(
-        self, pulled: Sequence[bool], in_view: Sequence[bool], motion: Motion | None
+        self, moved_off: Sequence[bool], in_view: Sequence[bool], motion: Motion | None
     ) -> list[int]:
         """Delete groups for the five reasons above. Returns the indices of those kept."""
         config, groups = self._config, self._groups
         alive = [
-            group.strikes < config.strikes  # not spread out
+            group.too_wide < config.strikes  # not spread out
             and group.existence >= config.min_existence  # nor unlikely
             and not (astray and seen)
-            for group, astray, seen in zip(groups, pulled, in_view, strict=True)
+            for group, astray, seen in zip(groups, moved_off, in_view, strict=True)
         ]
         # Groups are ordered by age; of two on one object the older stays.
         merged = [
@@ -328,23 +330,23 @@ class ContinuityFilter:
         ]
         alive = [a and not m for a, m in zip(alive, merged, strict=True)]
         if motion is not None:
-            self._forget()
+            self._drop_lost()
             self._lost += [
-                replace(g, strikes=0, frames_left=config.remember_frames)
+                replace(g, too_wide=0, frames_left=config.remember_frames)
                 for g, a, seen in zip(groups, alive, in_view, strict=True)
                 if a and not seen
             ]
         kept = [i for i, (a, seen) in enumerate(zip(alive, in_view, strict=True)) if a and seen]
         if len(kept) < len(groups):
             self._groups = [groups[i] for i in kept]
-            self._particles.take(kept)
+            self._particles.keep(kept)
         return kept
 
-    def _forget(self) -> None:
-        """Forget groups that were out of view too long, or did not show where they should."""
+    def _drop_lost(self) -> None:
+        """Drop groups that were out of view too long, or did not show where they should."""
         for lost in self._lost:
             lost.frames_left -= 1
-            lost.missed += self._shows(lost.x, lost.y) > WHOLE
+            lost.missed += self._visible_share(lost.x, lost.y) > FULLY_VISIBLE
         self._lost = [
             g for g in self._lost if g.frames_left > 0 and g.missed <= self._config.strikes
         ]
@@ -356,32 +358,32 @@ class ContinuityFilter:
         pairs first; the others get a new number.
         """
         far = (self._distances(candidates, positions) > self._config.new_group).all(axis=1)
-        places = candidates[far].tolist()
+        starts = candidates[far].tolist()
         pairs = sorted(
             (distance, new, old)
-            for new, (x, y) in enumerate(places)
+            for new, (x, y) in enumerate(starts)
             for old, lost in enumerate(self._lost)
             if (distance := self._diameters(x - lost.x, y - lost.y)) <= _gate(lost)
         )
         # A candidate that may be a lost group waits until enough of it is in view to decide.
-        waits = {new for _, new, _ in pairs if self._shows(*places[new]) < RECALL_IN_VIEW}
+        waits = {new for _, new, _ in pairs if self._visible_share(*starts[new]) < RECALL_IN_VIEW}
         recalled: dict[int, int] = {}
         for _, new, old in pairs:
             if new not in waits and new not in recalled and old not in recalled.values():
                 recalled[new] = old
-        born = []
-        for new, (x, y) in enumerate(places):
+        groups = []
+        for new, (x, y) in enumerate(starts):
             if new in recalled:
                 lost = self._lost[recalled[new]]
-                born.append(_Group(lost.number, x, y, lost.existence, lost.sight_deg))
+                groups.append(_Group(lost.number, x, y, lost.existence, lost.sight_deg))
             elif new not in waits:
-                born.append(_Group(self._next, x, y))
+                groups.append(_Group(self._next, x, y))
                 self._next += 1
         back = recalled.values()
         self._lost = [lost for old, lost in enumerate(self._lost) if old not in back]
-        return born
+        return groups
 
-    def _shows(self, x: float, y: float) -> float:
+    def _visible_share(self, x: float, y: float) -> float:
         """Share inside the fan of a disc at a pixel; -1 beyond the image."""
         rows, columns = self._share.shape
         row, column = min(max(round(y) + 1, 0), rows - 1), min(max(round(x) + 1, 0), columns - 1)

@@ -209,7 +209,7 @@ class DiscStages(ThreeStages):
         n = len(candidates.positions)
         positions = np.concatenate([candidates.positions, groups.positions])
         sight = self.plane.line_of_sight(positions)
-        sight[n:] -= np.radians(shape_matrix.whole_steps(groups.sight_deg)[1])
+        sight[n:] -= np.radians(shape_matrix.rounded_steps(groups.sight_deg)[1])
         levels = self._select.levels(candidates, positions)
         grey, seen = self._sample(image, self.plane.inside, positions, sight, *levels)
         # Average the groups' along their tracks.

@@ -10,9 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, local, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.pairs import find_truths_beside
+from sonarrec.evaluation.pairs import find_truths
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports import frames
@@ -26,7 +26,7 @@ from sonarrec.reports.logs import (
 )
 from sonarrec.reports.overview import SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
-from sonarrec.results.read import find_logs, not_whole
+from sonarrec.results.read import find_logs, why_incomplete
 from sonarrec.results.run_file import read_run
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar
@@ -59,33 +59,58 @@ def report(
     options: ScoringOptions | None = None,
     **scoring: Any,
 ) -> Report:
-    """Write results, of one log or of several, as one HTML page; returns what was written.
+    """Write the results of one log or of several as one HTML page.
 
-    out: default: report.html in `results`. ground_truth: one table; default: that beside each log,
-    if all have one. logs: the recordings that the results came from, or folders with such; default:
-    where they were. topic: the image channel of an MCAP recording, if run.toml does not name it.
-    scoring: as `evaluate` takes it, `method` to `sonar`, or options made of them; the sightings and
-    tracks of the first method are shown.
-    Raises SonarrecError where files cannot be used, read or written.
+    Parameters
+    ----------
+    results : str or Path, default "sonarrec_out"
+        The folder of one log's results, or a folder of such folders.
+    out : str or Path, optional
+        The page. Default: report.html in `results`.
+    ground_truth : str or Path, optional
+        One table for all logs. Default: each log's own gt.csv, if all have one.
+    logs : str, Path or sequence of these, optional
+        The recordings that the results came from, or folders of such. Default: where they were.
+    topic : str, optional
+        The image channel of an MCAP recording, if run.toml does not name it.
+    options : ScoringOptions, optional
+        How results are scored, in place of `scoring`.
+    **scoring
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
+        `evaluate`. The sightings and tracks of the first method are shown.
+
+    Returns
+    -------
+    Report
+        The path of the page, what it holds, and what could not be used.
+
+    Raises
+    ------
+    SonarrecError
+        Files cannot be used, read or written.
+    UsageError
+        An option is invalid.
     """
     options = options or scoring_options(**scoring)
     path, folders = (
-        Path(local(out or below(Path(results), "report.html"))),
+        Path(refuse_url(out or below(Path(results), "report.html"))),
         find_logs(Path(results)),
     )
-    truth_file = None if ground_truth is None else Path(local(ground_truth))
+    truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     given = [Path(logs)] if isinstance(logs, AnyPath) else [*map(Path, logs)]
     check_output(path, "report", [truth_file, *given])
-    told, left_out = Diagnostics(), dict[Path, str]()
-    evaluation = _evaluate(Path(results), folders, truth_file, options, told, left_out)
-    to_show = _of_one_set(folders, evaluation, options, told, left_out)
+    diagnostics, left_out = Diagnostics(), dict[Path, str]()
+    evaluation = _evaluate(Path(results), folders, truth_file, options, diagnostics, left_out)
+    to_show = _of_one_set(folders, evaluation, options, diagnostics, left_out)
     reported, unread = read_logs(to_show, options)
     mistakes = {} if evaluation is None else _mistakes(evaluation, reported[0].tracker)
     sonar = options.sonar or Sonar()
     pictures, shown, missing = _draw_all(reported, mistakes, (given, folders), sonar, topic)
     if evaluation is None:
-        told.problem(*(line for log in reported for line in not_whole(log.results, "shown")))
-    unused = (*told.problems, *unread, *missing)
+        diagnostics.problem(
+            *(line for log in reported for line in why_incomplete(log.results, "shown"))
+        )
+    unused = (*diagnostics.problems, *unread, *missing)
     rows = all_logs(Path(results), folders, evaluation, left_out)
     page = render(reported, evaluation, mistakes, truth_file, pictures, shown, unused, rows)
     write_page(path, page)
@@ -97,26 +122,26 @@ def _evaluate(
     folders: Sequence[Path],
     truth_file: Path | None,
     options: ScoringOptions,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     left_out: dict[Path, str],
 ) -> Evaluation | None:
     """The scores of the logs that have a truth; None if there is none. left_out: gets the others.
 
-    truth_file: that of all logs; None: those beside them.
+    truth_file: that of all logs; None: the gt.csv of each.
     """
     if truth_file is None:
         try:
-            pairs = find_truths_beside(folders, told)
+            pairs = find_truths(folders, diagnostics)
         except UsageError:  # no log has one
             return None
-        except SonarrecError as error:  # such as one beside several logs that names none of them
-            told.problem(f"{error}; nothing is scored")
+        except SonarrecError as error:  # such as one for several logs that names none of them
+            diagnostics.problem(f"{error}; nothing is scored")
             return None
         left_out |= dict.fromkeys({*folders} - {pair.results for pair in pairs}, "no ground truth")
         evaluation = evaluate_logs(pairs, None, options)
     else:
         evaluation = evaluate_logs(results, truth_file, options)
-    told.problem(*evaluation.unused)
+    diagnostics.problem(*evaluation.unused)
     return evaluation
 
 
@@ -124,14 +149,14 @@ def _of_one_set(
     folders: Sequence[Path],
     evaluation: Evaluation | None,
     options: ScoringOptions,
-    told: Diagnostics,
+    diagnostics: Diagnostics,
     left_out: dict[Path, str],
 ) -> list[LogToShow]:
     """The logs of one landmark set, that of the evaluation or of most logs: scored ones first, the
     worst of them first. left_out: gets the others."""
     ids: dict[Path, frozenset[int]] = {}
     for folder in folders:
-        with suppress(SonarrecError):  # told where its tables are read
+        with suppress(SonarrecError):  # reported where its tables are read
             landmarks = read_run(folder / "run.toml").landmark_set(options.landmarks)
             ids[folder] = frozenset(landmarks.ids)
     scored: Sequence[Path] = () if evaluation is None else evaluation.folders
@@ -140,7 +165,7 @@ def _of_one_set(
     for folder in others:
         left_out[folder] = "another landmark set"
         if evaluation is None:
-            told.problem(f"{folder}: another landmark set than that of most logs; not shown")
+            diagnostics.problem(f"{folder}: another landmark set than that of most logs; not shown")
     to_show = []
     if evaluation is not None:
         truth = cache(read_truth)
@@ -187,7 +212,7 @@ def _draw_all(
     for log in recorded:
         mine = [picture for picture in pictures if picture.log == log.name]
         with open_recording(sources[log.name], log, sonar, topic) as recording:
-            shown.append(frames.take(recording, log, mine, held[log.name], most_bytes))
+            shown.append(frames.read_frames(recording, log, mine, held[log.name], most_bytes))
     return pictures, shown, missing
 
 
@@ -219,7 +244,7 @@ def _of_sightings(passes: Sequence[JudgedSighting]) -> Iterator[Picture]:
     """The surest frame of each declared landmark, then the shortest sightings."""
 
     def order(s: JudgedSighting) -> tuple[float, ...]:
-        # Of scores that print alike: a true claim first, then the longest sighting.
+        # Of equal scores as printed: a true claim first, then the longest sighting.
         score = round(s.log.results.score[s.surest], 2)
         return s.sighting.landmark, -score, bool(s.wrong), -s.sighting.frames_declared
 

@@ -5,7 +5,7 @@ library's SVG brings its own fonts, colours and size, ten times the bytes, or a 
 has none.
 
 Paths are drawn on a sheet of WIDTH x HEIGHT that the page stretches to any size, with strokes that
-keep their width. Tick labels are text beside the sheet, so charts stay legible on any screen.
+keep their width. Tick labels are text outside the sheet, so charts stay legible on any screen.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sonarrec.reports.logs import ReportedLog, Track, alongside
 
 WIDTH, HEIGHT = 2000, 1000
 STYLES = 4
-"""Line styles in the style sheet. They tell methods apart where one line covers another."""
+"""Line styles in the style sheet. They distinguish methods where one line covers another."""
 MOST_POINTS = 400
 """Points of a line, or bars in a row, at most: about one per one to three screen pixels."""
 UNSEEN = 0.01  # a probability that stays below this along the whole track is not drawn

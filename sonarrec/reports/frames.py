@@ -161,7 +161,7 @@ def choose(
     return {name: sorted(frames) for name, frames in chosen.items()}
 
 
-def take(
+def read_frames(
     log: Log,
     reported: ReportedLog,
     pictures: Sequence[Picture],
@@ -217,10 +217,10 @@ def _truth_in(frame: Frame, log: ReportedLog) -> Iterator[Mark]:
     if log.matched is not None:
         truths = log.matched.truths
         here = truths[log.results.frame[truths["at"]] == frame.index]
-        places = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
-        for landmark, place in zip(here["landmark"].tolist(), places, strict=True):
-            if not np.isnan(place).any():
-                yield Mark(landmark, *place)
+        pixels = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
+        for landmark, pixel in zip(here["landmark"].tolist(), pixels, strict=True):
+            if not np.isnan(pixel).any():
+                yield Mark(landmark, *pixel)
 
 
 def _draw(
@@ -234,7 +234,7 @@ def _draw(
     truth = truth if picture.wrong else ()
     of = frame.image, frame.fan, log.results.landmarks
     drawn = draw_frame(*of, said, truth=truth, score=True)
-    image = _shrunk(drawn, PICTURE_PX)
+    image = _reduced(drawn, PICTURE_PX)
     parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
     parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
     picture.source, picture.size = as_webp(image, PICTURE_QUALITY), image.shape[1::-1]
@@ -249,7 +249,7 @@ def _held(
     most_bytes: int,
 ) -> Shown:
     """One of a log's frames for the page's script. said: the estimates of each method."""
-    image, landmarks = _shrunk(frame.image, LARGEST), log.results.landmarks
+    image, landmarks = _reduced(frame.image, LARGEST), log.results.landmarks
 
     def outlines(marked: Iterable[tuple[Estimate | Mark, str, bool]], size: float) -> list[Shown]:
         found = []
@@ -290,7 +290,7 @@ def as_webp(image: ByteImage, quality: int) -> str:
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def _shrunk(image: ByteImage, largest: int) -> ByteImage:
+def _reduced(image: ByteImage, largest: int) -> ByteImage:
     """The image with a longer side of at most `largest` pixels."""
     share = min(1.0, largest / max(image.shape))
     if share == 1:
@@ -306,4 +306,4 @@ def _within(image: ByteImage, most_bytes: int) -> str:
             source = as_webp(image, quality)
             if len(source) <= most_bytes or max(image.shape) <= 16:
                 return source
-        image = _shrunk(image, max(image.shape) // 2)
+        image = _reduced(image, max(image.shape) // 2)

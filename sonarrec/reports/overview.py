@@ -49,20 +49,20 @@ def all_logs(
 
     folders: those of results. left_out: why a log is not scored, where that is known.
     """
-    told: dict[str, Row] = {}
+    listed: dict[str, Row] = {}
     with suppress(SonarrecError):  # a table of another program
-        told = {row.log: row for row in read_logs(results / NAME)}
+        listed = {row.log: row for row in read_logs(results / NAME)}
 
     def row(
         folder: Path, frames: int, *, name: str = "", points: Points = (), note: str = ""
     ) -> LogRow:
-        of = told.get(log_of(folder))
+        of = listed.get(log_of(folder))
         state, message = (of.status, of.message) if of else (_state(folder), "")
         return LogRow(name or log_of(folder), folder, state, frames, points, note or message)
 
     rows = [
         LogRow(of.log, None, of.status, of.frames, (), of.message)
-        for of in told.values()
+        for of in listed.values()
         if of.log not in {log_of(folder) for folder in folders}
     ]
     scored: Sequence[Path] = ()

@@ -147,7 +147,7 @@ def _truth_text(evaluation: Evaluation | None, given: Path | None) -> str:
     if evaluation is None:
         return ""
     files = {given} if given else {*evaluation.truths}
-    return printable(files.pop().name) if len(files) == 1 else "the ground truth beside each"
+    return printable(files.pop().name) if len(files) == 1 else "each log's own ground truth"
 
 
 def _scores(

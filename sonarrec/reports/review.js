@@ -9,7 +9,7 @@ const view = new View(part("marks"), part("image"));
 const STEP_MS = 80, NEAR_PX = 0.5, WAIT_MS = 700, FAR = 1e9;
 const nothing = () => ({ page: data.page, done: [], undone: [], seen: [] });
 let work = nothing(), seen = new Set(); // seen: frames that were on the screen
-let passes = [], lost = 0; // as folded; entries on passes that this page lacks
+let passes = [], lost = 0, doubled = ""; // as folded; entries on passes that this page lacks; see onOneSpot
 let now = shown[0], chosen = null, range = "all", placing = null, hidden = false;
 let saved = true, timer = 0, typed = "", wait = 0;
 
@@ -81,6 +81,19 @@ function fold() {
   }
   const place = (pass) => (order.indexOf(pass.id.split(">")[0]) + 1 || FAR) + pass.rows[0].frame / FAR;
   passes = [...made.values()].filter((pass) => pass.rows.length).sort((a, b) => place(a) - place(b));
+  doubled = onOneSpot();
+}
+
+/** A warning if two accepted passes are within half a radius of each other in a frame, else "". */
+function onOneSpot() {
+  const byFrame = new Map();
+  for (const { landmark, rows } of inState("accepted")) for (const { frame, x, y } of rows) {
+    const floor = floorFromPixel(fan, x, y), others = byFrame.get(frame) ?? [];
+    const other = others.find((one) => Math.hypot(one.floor[0] - floor[0], one.floor[1] - floor[1]) < radius_m / 2);
+    if (other) return `. ID.${other.landmark} and ID.${landmark} are accepted on the same spot in frame ${frame}: reject one`;
+    byFrame.set(frame, [...others, { landmark, floor }]);
+  }
+  return "";
 }
 
 // What is decided, kept in the browser, and saved
@@ -137,7 +150,7 @@ function left() {
   const open = inState("open"), out = open.filter((pass) => pass.left_out).length;
   const unseen = data.frames - damaged.size - seen.size;
   const of = `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}`;
-  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}`;
+  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}${doubled}`;
 }
 
 /** The corners of a plate, else the edge of a disc; nearer than the floor that at the nearest floor. */
@@ -225,7 +238,7 @@ function choose(id) {
   if (id !== chosen) range = "all";
   chosen = id;
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
-  if (first && !at(current(), now)) now = (at(current(), current().look) ?? first).frame;
+  if (first && !at(current(), now)) now = (at(current(), current().first_wrong) ?? first).frame;
   render();
   const list = part("list"), item = list.querySelector(".chosen"), top = item?.offsetTop;
   if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;

@@ -40,14 +40,20 @@ from sonarrec.records import VERSION, Frame
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
-from sonarrec.results.read import LogResults, check_same_log, not_whole, read_estimates, read_log
+from sonarrec.results.read import (
+    LogResults,
+    check_same_log,
+    read_estimates,
+    read_log,
+    why_incomplete,
+)
 from sonarrec.results.run_file import LogOptions
 from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.tables.read import read_table
 from sonarrec.truth.check import misfit
 from sonarrec.truth.match import match_truth
-from sonarrec.truth.propose import HEADER, LEAST_DECLARED, Taken, proposals
+from sonarrec.truth.propose import HEADER, LEAST_DECLARED, Occupied, proposals
 from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, read_truth
 
 MOST_BYTES = 24_900_000  # of a page
@@ -73,9 +79,9 @@ class _Pass:
     """A landmark on its way through the view; the page's script has these fields, too.
 
     id: the same on every page of these tracks or this truth. state: open or accepted. left_out:
-    whether it is saved only once accepted. why: what speaks against it. belief: see `_look_up`.
-    wrong: frames in which results and truth disagree; look: the first of the longest such run.
-    corners: of a plate, by frame.
+    whether it is saved only once accepted. why: what speaks against it. belief: see
+    `_find_beliefs`. wrong: frames in which results and truth disagree; first_wrong: the first of
+    the longest such run. corners: of a plate, by frame.
     """
 
     id: str
@@ -87,7 +93,7 @@ class _Pass:
     why: str = ""
     belief: float = 0.0
     wrong: int = 0
-    look: int = -1
+    first_wrong: int = -1
     picture: str = ""
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
 
@@ -113,28 +119,30 @@ def review(
     mistakes: bool = False,
     method: str | None = None,
 ) -> tuple[str, Diagnostics]:
-    """Write the page of one log; (what is in it, in a line, and what is told).
+    """Write the page of one log; (a line on what is in it, faults and notes).
 
-    log, results: as `find_both` takes them. truth: default: that beside the log, if there is one.
+    log, results: as `find_both` takes them. truth: default: the log's own gt.csv, if there is one.
     every, spans: frames in the page; all rows are in it anyway.
     mistakes: begin with the passes on which results and truth disagree. method: that of the tracks;
     None: the leading one.
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
-    (source, folder), told = find_both(Path(log), results), Diagnostics()
+    (source, folder), diagnostics = find_both(Path(log), results), Diagnostics()
     found = read_log(folder)
     if found.fan is None:
-        raise SonarrecError(f"{folder}: its run.toml does not tell the sonar's geometry; run again")
+        raise SonarrecError(
+            f"{folder}: its run.toml does not state the sonar's geometry; run again"
+        )
     method = method or leading(found.methods)
-    truth = truth or source.beside(TRUTH_FILE)
+    truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
-    told.problem(*not_whole(found, "shown"))
+    diagnostics.problem(*why_incomplete(found, "shown"))
     stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
-    table, passes, taken = _Table([*HEADER]), list[_Pass](), Taken(list)
+    table, passes, occupied = _Table([*HEADER]), list[_Pass](), Occupied(list)
     if truth is not None:
-        table, passes = _of_truth(truth, source, found, stretch, taken, told)
-    passes += _of_tracks(folder, found, method, stretch, taken, table, truth is not None)
-    _look_up(passes, folder, found, method)
+        table, passes = _of_truth(truth, source, found, stretch, occupied, diagnostics)
+    passes += _of_tracks(folder, found, method, stretch, occupied, table, truth is not None)
+    _find_beliefs(passes, folder, found, method)
     if mistakes:
         _mark_mistakes(passes, found, method, [folder, folder.parent], truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
@@ -142,13 +150,13 @@ def review(
     with open_log(source, **options) as recording:
         check_same_log(recording, folder, found.run)
         frames = _Frames(recording, found, spans, every, passes)
-        told.problem(*recording.diagnostics.problems)
+        diagnostics.problem(*recording.diagnostics.problems)
     write_page(out, _page(found, folder, truth, frames, table, passes))
     size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
     opened = (
         f"{number_of(len(passes), 'pass', 'es')}, {sum(p.state == 'open' for p in passes)} open"
     )
-    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", told
+    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", diagnostics
 
 
 # The passes
@@ -159,13 +167,13 @@ def _of_truth(
     source: Source,
     found: LogResults,
     stretch: Mapping[int, int],
-    taken: Taken,
-    told: Diagnostics,
+    occupied: Occupied,
+    diagnostics: Diagnostics,
 ) -> tuple[_Table, list[_Pass]]:
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
     or cannot be the truth of this log."""
     truth = read_truth(path)
-    name = truth.name_of(possible_names(found.name, source.place.resolve()))
+    name = truth.name_of(possible_names(found.name, source.location.resolve()))
     named = replace(found, name=name)
     matched = match_truth(truth, named)
     assert found.fan is not None  # else nothing could be proposed
@@ -181,7 +189,7 @@ def _of_truth(
     table.log = "" if truth.log is None else name
     if replaced:
         of = ", ".join(replaced)
-        told.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
+        diagnostics.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
 
     def cells_of(row: int, **values: str) -> list[str]:
         return [
@@ -198,21 +206,21 @@ def _of_truth(
         pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
         came = cells_of(int(matched.row[n]), frame=str(frame), **pixel)
         rows[landmark].append(_Row(frame, x, y, float(matched.visible[n]), came))
-        taken[frame, landmark].append(floor[n].tolist())
-    passes, at = [], table.header.index("source")
+        occupied[frame, landmark].append(floor[n].tolist())
+    passes, column = [], table.header.index("source")
     for landmark, of_landmark in rows.items():
         for part in _split(of_landmark, stretch):
-            proposed = {row.cells[at] for row in part} & {TRACKED, FILLED_IN}
+            proposed = {row.cells[column] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
             state = "open" if proposed else "accepted"
             passes.append(_Pass(made, landmark, "truth", part, state))
-    whole = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
-    rest = sorted({*range(len(truth.at))} - {*matched.row.tolist()})
-    for n in rest if whole else ():
+    saves_all = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
+    rest = sorted({*range(len(truth.keys))} - {*matched.row.tolist()})
+    for n in rest if saves_all else ():
         is_mine = truth.log is None or truth.log[n] == name
-        table.kept.append((int(truth.at[n]) if is_mine else None, cells_of(n)))
-    if rest and not whole:
-        told.note(
+        table.kept.append((int(truth.keys[n]) if is_mine else None, cells_of(n)))
+    if rest and not saves_all:
+        diagnostics.note(
             f"{path}: {number_of(len(rest), 'row')} on other logs, or on no frame, have no frame "
             "or pixel; the page does not save them"
         )
@@ -224,12 +232,12 @@ def _of_tracks(
     found: LogResults,
     method: str,
     stretch: Mapping[int, int],
-    taken: Taken,
+    occupied: Occupied,
     table: _Table,
     has_truth: bool,
 ) -> Iterator[_Pass]:
     """The passes of all tracks that declared an ID; with a truth those that it does not have."""
-    for track, rows in proposals(folder, found, method, taken=taken):
+    for track, rows in proposals(folder, found, method, occupied=occupied):
         made = []
         for row in rows:
             of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
@@ -260,9 +268,9 @@ def _split(rows: Iterable[_Row], stretch: Mapping[int, int]) -> list[list[_Row]]
     return passes
 
 
-def _look_up(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
-    """Each pass's least belief, the lowest probability of its ID where the method declares an ID on
-    it (0 if it never does), and its corners."""
+def _find_beliefs(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
+    """Find each pass's least belief, the lowest probability of its ID where the method declares an
+    ID on it (0 if it never does), and its corners."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
     by_frame = dict(read_estimates(folder / "estimates.csv", method, landmarks, fan))
@@ -288,12 +296,12 @@ def _mark_mistakes(
     """State in how many frames of each pass the method and the truth disagree, as mistakes.csv of
     `sonarrec evaluate` has it. results: where it may have been written; the latest counts. Raises
     MissingError if there is none."""
-    places = [folder / "evaluation" / "mistakes.csv" for folder in results]
-    tables = sorted(filter(Path.is_file, places), key=lambda path: path.stat().st_mtime)
+    candidates = [folder / "evaluation" / "mistakes.csv" for folder in results]
+    tables = sorted(filter(Path.is_file, candidates), key=lambda path: path.stat().st_mtime)
     if not tables:
         given = f"--ground-truth {truth} " if truth else ""
-        write = f"`sonarrec evaluate {given}{places[0].parents[1]}` writes it"
-        raise MissingError(f"{places[0]}: no such file; {write}")
+        write = f"`sonarrec evaluate {given}{candidates[0].parents[1]}` writes it"
+        raise MissingError(f"{candidates[0]}: no such file; {write}")
     kinds: Any = dict.fromkeys(("log", "method", "kind"), "text") | {
         **dict.fromkeys(("first_frame", "last_frame", "frames", "landmark"), "whole"),
         "other": "blank or number",
@@ -310,7 +318,7 @@ def _mark_mistakes(
         why = f"{table['kind'][n]} ID.{landmark} in frames {first}-{last}"
         for one in passes:
             if one.landmark in ids and any(first <= row.frame <= last for row in one.rows):
-                one.look = first if one.wrong == 0 else one.look
+                one.first_wrong = first if one.wrong == 0 else one.first_wrong
                 one.wrong += frames
                 one.state = "open"
                 one.why = "; ".join(filter(None, (one.why, why)))

@@ -36,8 +36,8 @@ MADE = {
 def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
     """A name for the results of each log of one call.
 
-    It is the log's name, with as many parent folders in front as are needed to tell logs apart.
-    logs: (name, resolved path) of each. Raises UsageError if they cannot be told apart.
+    It is the log's name, with as many parent folders in front as make all names different.
+    logs: (name, resolved path) of each. Raises UsageError if no folders make them different.
     """
     depth = [0] * len(logs)
     while True:
@@ -45,25 +45,25 @@ def folder_names(logs: Sequence[tuple[str, Path]]) -> list[str]:
         count = Counter(names)
         if max(count.values(), default=1) == 1:
             return names
-        for i, (name, place) in enumerate(logs):
+        for i, (name, path) in enumerate(logs):
             depth[i] += count[names[i]] > 1
-            if depth[i] > len(place.parts):
-                places = [str(logs[k][1]) for k, other in enumerate(names) if other == names[i]]
-                if len(set(places)) == 1:
-                    raise UsageError(f"{places[0]}: given {len(places)} times; name it once")
+            if depth[i] > len(path.parts):
+                paths = [str(logs[k][1]) for k, other in enumerate(names) if other == names[i]]
+                if len(set(paths)) == 1:
+                    raise UsageError(f"{paths[0]}: given {len(paths)} times; name it once")
                 raise UsageError(
-                    f"{', '.join(places)}: their results would all go to {name}; run each "
+                    f"{', '.join(paths)}: their results would all go to {name}; run each "
                     "with its own --out"
                 )
 
 
-def possible_names(name: str, place: Path) -> list[str]:
+def possible_names(name: str, path: Path) -> list[str]:
     """Every name that `folder_names` may give to a log, depending on the other logs."""
-    return [_name_at_depth(name, place, depth) for depth in range(len(place.parents))]
+    return [_name_at_depth(name, path, depth) for depth in range(len(path.parents))]
 
 
-def _name_at_depth(name: str, place: Path, depth: int) -> str:
-    folders = place.parent.parts[1:]  # without the root
+def _name_at_depth(name: str, path: Path, depth: int) -> str:
+    folders = path.parent.parts[1:]  # without the root
     return "-".join([*folders[len(folders) - min(depth, len(folders)) :], name])
 
 
@@ -101,7 +101,7 @@ def _named(folder: Path) -> Path:
 
 
 def rerun_left(folder: Path) -> list[str]:
-    """A line if, beside finished results, there is the part of a later run."""
+    """A line if a later run has left its part in addition to finished results."""
     if not (folder / "frames.csv").is_file() or not (part_of(folder) / "frames.csv").is_file():
         return []
     return [
@@ -115,7 +115,7 @@ def alone(folder: Path) -> Iterator[None]:
     """No other run writes `folder` until the end; what a killed run left is put right before.
 
     Raises LockedError if another run writes it, OSError, and SonarrecError if a file of the user
-    is in both places.
+    is in both folders.
     """
     path = folder.with_name(f".{folder.name}.lock")
     while True:
@@ -145,7 +145,7 @@ def restore(folder: Path) -> None:
 
     Such a run leaves old results under another name: either nothing has replaced them yet, or not
     all of the user's files in them were moved.
-    Raises OSError if that fails, SonarrecError if a file is in both places.
+    Raises OSError if that fails, SonarrecError if a file is in both folders.
     """
     old = below(folder.parent, _aside(folder).name)
     below(folder.parent, part_of(folder).name)
@@ -188,26 +188,26 @@ def _sync(folder: Path) -> None:
             os.close(handle)
 
 
-def _clear(old: Path, place: Path) -> None:
-    """Delete results, and files made from them, in `old`, and move the rest to `place`."""
+def _clear(old: Path, target: Path) -> None:
+    """Delete results, and files made from them, in `old`, and move the rest to `target`."""
     for name, names in MADE.items():
         folder = old / name
         if folder.is_dir() and not folder.is_symlink():
-            _take_over(folder, place / name, names)
+            _move_files(folder, target / name, names)
     pages = (name for name, kind in PAGES.items() if is_output(old / name, kind))
-    _take_over(old, place, {*OURS, *pages})
+    _move_files(old, target, {*OURS, *pages})
 
 
-def _take_over(old: Path, place: Path, ours: Container[str]) -> None:
-    """Delete the files of these names in `old`, move the rest to `place`, and remove `old`."""
+def _move_files(old: Path, target: Path, ours: Container[str]) -> None:
+    """Delete the files of these names in `old`, move the rest to `target`, and remove `old`."""
     for entry in sorted(old.iterdir(), key=lambda e: e.name not in ours):
         if entry.name in ours and (entry.is_symlink() or not entry.is_dir()):
             entry.unlink()
             continue
-        to = place / entry.name
+        to = target / entry.name
         if to.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(to))
-        place.mkdir(exist_ok=True)
+        target.mkdir(exist_ok=True)
         entry.rename(to)
     old.rmdir()
 

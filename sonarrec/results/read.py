@@ -138,7 +138,7 @@ def find_logs(results: Path) -> list[Path]:
 def _holds_frames(folder: Path) -> bool:
     """Whether it is a folder with frames.csv, or one that only another user may read.
 
-    That is told where its tables are read: a log must not be missing from the figures unnoticed.
+    Reading its tables then fails with a message: no log may be missing from the figures unnoticed.
     """
     if folder.name.startswith(".") and folder.name.endswith(".old"):
         return False  # a run that was killed while it replaced results left it
@@ -150,7 +150,7 @@ def _holds_frames(folder: Path) -> bool:
         return False
 
 
-def not_whole(log: LogResults, action: str) -> list[str]:
+def why_incomplete(log: LogResults, action: str) -> list[str]:
     """A line for each part of the results that cannot be used.
 
     action: what a command does with the rest, such as "scored".
@@ -351,8 +351,8 @@ def _estimates_in(
     beliefs[:, -1] = 1 - score
     if all(name in table for name in columns):
         in_table = np.column_stack([table[name] for name in columns])
-        whole = np.isfinite(in_table).all(axis=1)
-        beliefs[whole] = in_table[whole]
+        complete = np.isfinite(in_table).all(axis=1)
+        beliefs[complete] = in_table[complete]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     of_estimates = {
         **positions(table, fan),
@@ -401,11 +401,12 @@ class CountedOnce:
 
     Results of different frames of one recording all count.
 
-    action: what a command does with the results, such as "scored". told: of copies.
+    action: what a command does with the results, such as "scored". diagnostics: receives a
+    line for each copy.
     """
 
-    def __init__(self, action: str, told: Diagnostics) -> None:
-        self._action, self._told = action, told
+    def __init__(self, action: str, diagnostics: Diagnostics) -> None:
+        self._action, self._diagnostics = action, diagnostics
         self._counted: dict[Recording, list[Path]] = defaultdict(list)
 
     def add(self, folder: Path, of: Recording) -> bool:
@@ -416,14 +417,14 @@ class CountedOnce:
             return True
         line = f"{folder}: the same log as {first}, which counts once"
         if _digest(folder) == _digest(first):
-            self._told.note(line)
+            self._diagnostics.note(line)
         else:
-            self._told.problem(f"{line}; these other results of it are not {self._action}")
+            self._diagnostics.problem(f"{line}; these other results of it are not {self._action}")
         return False
 
 
 def _share_frames(one: Path, other: Path) -> bool:
-    """Whether two results have a frame in common; not if they cannot be read, told elsewhere."""
+    """Whether two results have a frame in common; not if they cannot be read."""
     with suppress(SonarrecError):
         return bool(np.intersect1d(*(read_frames(f)["frame"] for f in (one, other))).size)
     return False
@@ -433,10 +434,10 @@ def recording(folder: Path, run: RunFile) -> Recording:
     """What identifies a recording: SHA-256 and topic; without them the tables' contents."""
     if run.input.recording:
         return run.input.recording
-    # Tables without estimates may be equal by chance; then run.toml or the folder tells them apart.
-    told_apart = run.table or csv_rows(folder / "estimates.csv")
-    place = None if told_apart else folder.resolve()
-    return None, (_digest(folder), str(run.table), place)
+    # Tables without estimates may be equal by chance; then run.toml or the folder decides.
+    is_distinct = run.table or csv_rows(folder / "estimates.csv")
+    path = None if is_distinct else folder.resolve()
+    return None, (_digest(folder), str(run.table), path)
 
 
 def _digest(folder: Path) -> str:
@@ -508,9 +509,22 @@ class Tables:
 
 
 def read_results(folder: str | Path) -> Tables:
-    """The tables of one log's results. folder: written by `sonarrec run` for that log.
+    """Read the tables of one log's results.
 
-    Raises SonarrecError if frames.csv or estimates.csv cannot be read.
+    Parameters
+    ----------
+    folder : str or Path
+        The folder that `sonarrec run` wrote for the log.
+
+    Returns
+    -------
+    Tables
+        `frames`, `estimates` and `sightings` with the columns and units of the files.
+
+    Raises
+    ------
+    SonarrecError
+        frames.csv or estimates.csv cannot be read.
     """
     folder = Path(folder)
     sightings = folder / "sightings.csv"

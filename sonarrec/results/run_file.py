@@ -86,7 +86,7 @@ class ExistingResults:
     unusable: int = 0  # frames
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    reason: str = ""  # to run anew: how the run differs from them; empty if there are none
+    reason: str = ""  # to run again: how the run differs from them; empty if there are none
 
 
 _ROWS = {
@@ -217,10 +217,20 @@ def frame_span(text: str) -> tuple[int, int | None]:
 
 
 def frame_spans(text: str) -> list[tuple[int, int | None]]:
-    """The spans of "A:B,C:D,N", where N is one frame. Raises as `frame_span`."""
-    single = re.compile(r"[0-9]{1,18}")
-    parts = text.split(",")
-    return [frame_span(f"{p}:{int(p) + 1}" if single.fullmatch(p) else p) for p in parts]
+    """The spans of "A:B, C:D, N", where N is one frame; blanks do not count. Raises UsageError if
+    the text has another form or a span is empty."""
+    spans = list[tuple[int, int | None]]()
+    for part in (part.strip() for part in text.split(",")):
+        if part.isdecimal() and len(part) <= 18:
+            spans.append((int(part), int(part) + 1))
+        elif ":" in part:
+            spans.append(frame_span(part))
+        else:
+            raise UsageError(
+                f"--frames: expected frame numbers N and spans A:B with commas between them, such "
+                f"as 12,40:50, not {part[:60]!r}"
+            )
+    return spans
 
 
 def span_text(span: tuple[int, int | None]) -> str:
@@ -256,7 +266,7 @@ class LogOptions:
     """How to read a log, as given by the user; None: not given."""
 
     sonar: Sonar = field(default_factory=Sonar)  # keys that take precedence over every file
-    sonar_file: Path | None = None  # in place of the sonar.toml beside the log
+    sonar_file: Path | None = None  # in place of the log's own sonar.toml
     topic: str | None = None  # the image channel of an MCAP
     time: Clock | None = None  # which of a message's times is that of its frame; default: log time
     odometry: Path | None = None  # a table of the sonar's poses, see readers/poses.py

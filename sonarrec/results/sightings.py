@@ -172,7 +172,7 @@ class Sightings:
         if self._fan is not None and self._poses is not None:
             ground, bearing = float(ground_range(self._fan, e.range_m)), math.radians(e.bearing_deg)
             right, ahead = ground * math.sin(bearing), ground * math.cos(bearing)
-            position = self._poses.place(timestamp_ns, right, ahead)
+            position = self._poses.position(timestamp_ns, right, ahead)
         return position or (math.nan, math.nan)
 
     def close_all(self) -> list[Sighting]:

@@ -1,4 +1,4 @@
-"""A job: one log to run. What is told while it runs, and what became of it."""
+"""A job: one log to run; the events that it sends while it runs, and what became of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from sonarrec.config import Config
-from sonarrec.errors import SonarrecError, as_usage, is_url, number_of, shown_url
+from sonarrec.errors import SonarrecError, as_usage, is_url, number_of, redact_url
 from sonarrec.recogniser.stage3.model import model_from_table, read_model
 from sonarrec.records import FrameResult
 from sonarrec.results.run_file import LogOptions, read_run
@@ -22,7 +22,7 @@ GRACE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """The user's choices for a run, apart from how the log is read."""
+    """The user's choices for a run, except for how the log is read."""
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
@@ -56,7 +56,7 @@ class Job:
     @property
     def path(self) -> str:
         """Of the log; or its URL without secrets."""
-        return shown_url(self.log) if is_url(self.log) else self.log
+        return redact_url(self.log) if is_url(self.log) else self.log
 
     @property
     def folder(self) -> Path:
@@ -67,7 +67,7 @@ class Job:
     def results(self) -> str:
         """The folder of the results, or its URL without secrets."""
         if is_url(self.out):
-            return f"{shown_url(self.out).rstrip('/')}/{self.name}"
+            return f"{redact_url(self.out).rstrip('/')}/{self.name}"
         return str(self.folder)
 
     def shown(self, text: object) -> str:

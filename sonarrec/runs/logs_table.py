@@ -87,7 +87,7 @@ class LogsTable:
             self._rows[i] = replace(self._rows[i], status="running", frames=event[0])
         if monotonic() >= self._written_at_s + WRITE_EVERY_S:
             self.write()
-        elif isinstance(event, Outcome):  # the next event may be hours away
+        elif isinstance(event, Outcome):  # the next event may come hours later
             self._later.cancel()
             self._later = Timer(WRITE_EVERY_S, self.write)
             self._later.start()
@@ -110,7 +110,7 @@ class LogsTable:
             return
         try:
             below(self._path.parent, NAME).parent.mkdir(parents=True, exist_ok=True)
-            with _turn(self._path.parent):
+            with _file_lock(self._path.parent):
                 before = read_logs(self._path) if is_filled(self._path) else []
                 rows = map(astuple, self._merged(before).values())
                 write_csv(self._path, COLUMNS, rows)
@@ -135,7 +135,7 @@ class LogsTable:
 
 
 @contextmanager
-def _turn(folder: Path) -> Iterator[None]:
+def _file_lock(folder: Path) -> Iterator[None]:
     """Wait until no other call writes the file, if the file system supports locks."""
     with ExitStack() as stack:
         with suppress(OSError):
@@ -167,6 +167,6 @@ def read_logs(path: Path) -> list[Row]:
     except (TypeError, ValueError, csv.Error):
         line = max(table.line_num, 1)
         raise SonarrecError(
-            f"{path} line {line}: not a row of {','.join(COLUMNS)}; move the file away"
+            f"{path} line {line}: not a row of {','.join(COLUMNS)}; rename or delete the file"
         ) from None
     return rows

@@ -31,18 +31,18 @@ MOST_SIGHTINGS = 20
 def result_names(logs: Sequence[str | Path]) -> list[str]:
     """The name of each log's results, all different, also of logs that do not exist now.
 
-    Raises UsageError if two logs cannot be told apart.
+    Raises UsageError if two logs would have the same name.
     """
     named = []  # (the name of a log's results, where the log is)
     for log in logs:
         try:
             source = find_log(log)
-            named.append((source.name, source.place.resolve()))
+            named.append((source.name, source.location.resolve()))
         except SonarrecError:  # reported when the log is run
-            place = Path(log)
+            path = Path(log)
             with suppress(OSError):  # the current folder is gone
-                place = place.absolute()
-            named.append((results_name(log_name(Path(log))), place))
+                path = path.absolute()
+            named.append((results_name(log_name(Path(log))), path))
     return folder_names(named)
 
 
@@ -163,7 +163,7 @@ def _recognise(
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            plausibility.look(frame)
+            plausibility.inspect(frame)
             yield frame
 
     try:
@@ -189,7 +189,7 @@ def _notes(
     *,
     found: bool,
 ) -> list[str]:
-    """What the user is told at the end of a run besides problems.
+    """The notes for the user at the end of a run, without the problems.
 
     about_folder: of ResultsWriter.finish. found: whether any landmark was declared.
     """

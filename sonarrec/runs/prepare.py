@@ -33,7 +33,7 @@ class PreparedRun:
     """An opened log, and what recognises landmarks in it."""
 
     log: Log
-    log_options: LogOptions  # as used: completed by an earlier run and what lies beside the log
+    log_options: LogOptions  # as used: completed by an earlier run and the log's own files
     frames: Iterator[Frame]  # those asked for; the first ones were read already
     frame_count: int | None  # how many; None if the log does not say
     fan: Fan
@@ -59,7 +59,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
     same_log = earlier.input.name == name_as_text(source.name)
     if digest is not None:
         same_log = earlier.input.is_of(*digest)
-    # Options win over the earlier run, and that over what lies beside the log.
+    # Options win over the earlier run, and that over the log's own files.
     log_options = earlier.complete(given, same_log=same_log)
     log_options = _with_companions(source, log_options, again=same_log)
     landmarks, from_where = chosen_landmarks(source, options.landmarks, earlier)
@@ -123,8 +123,8 @@ def _where(job: Job) -> dict[str, str]:
     path = Path(job.path)
     if (url := job.shown(path)) != str(path):
         return {"path": url, "place": url}
-    place = os.path.relpath(path.resolve(), job.folder.resolve())
-    return {"path": name_as_text(path), "place": name_as_text(place)}
+    relative = os.path.relpath(path.resolve(), job.folder.resolve())
+    return {"path": name_as_text(path), "place": name_as_text(relative)}
 
 
 def _check_folder(job: Job, source: Source) -> None:
@@ -132,15 +132,15 @@ def _check_folder(job: Job, source: Source) -> None:
     cannot be written there."""
     folder = job.folder
     try:
-        itself = source.place.resolve() in (folder.resolve(), Path(job.out).resolve())
+        itself = source.location.resolve() in (folder.resolve(), Path(job.out).resolve())
     except OSError as error:  # the current folder is gone
         raise SonarrecError(f"{folder}: cannot be written ({error.strerror})") from None
     if itself:
         raise UsageError(f"{source.path}: this is the log itself; choose another --out")
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise SonarrecError(
-            f"{folder}: a file or a link is where the folder of the results would be; move it "
-            "away, or choose another --out"
+            f"{folder}: a file or a link is where the folder of the results would be; rename "
+            "it, or choose another --out"
         )
     if folder.is_dir() and not any((folder / name).exists() for name in OURS):
         logs = (f for f in folder.iterdir() if names_a_log(f.name) or names_an_image(f.name))
@@ -158,7 +158,7 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
     """
     if again or log_options.odometry is not None or log_options.odometry_topic is not None:
         return log_options
-    poses = source.beside(POSES_FILE)
+    poses = source.companion(POSES_FILE)
     if poses is None:
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
@@ -201,19 +201,19 @@ def _poses(source: Source, log_options: LogOptions, earlier: RunFile) -> PoseTab
 def chosen_landmarks(
     source: Source | None, choice: str | Path | None, earlier: RunFile
 ) -> tuple[LandmarkSet, str]:
-    """The set that the user chose, else the earlier run's, else that beside the log, else basin;
+    """The set that the user chose, else the earlier run's, else the log's own, else basin;
     and where it is from. Raises SonarrecError if it is invalid."""
     if choice is not None:
         return earlier.landmark_set(choice), f"option, {choice}"
     if "landmarks" in earlier.table:
         return earlier.landmark_set(), str(earlier.path)
-    beside = None if source is None else source.beside(LANDMARKS_FILE)
-    return earlier.landmark_set(beside), "built in" if beside is None else str(beside)
+    own = None if source is None else source.companion(LANDMARKS_FILE)
+    return earlier.landmark_set(own), "built in" if own is None else str(own)
 
 
 def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: RunFile) -> str:
     """The geometry that a run goes by, in words. given: the options of the command alone."""
-    topic, file = log.reading().get("topic"), given.sonar_file or source.beside(SONAR_FILE)
+    topic, file = log.reading().get("topic"), given.sonar_file or source.companion(SONAR_FILE)
     if not given.sonar_file and earlier.sonar() != Sonar():
         file = earlier.path
     origins = [f"topic {topic}"] * (topic is not None) + ["options"] * (given.sonar != Sonar())

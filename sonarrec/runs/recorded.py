@@ -24,15 +24,15 @@ def recorded_at(folder: Path, source: Input) -> Source:
     return found
 
 
-def _log_at(path: str, folder: Path, place: str | None) -> Source:
+def _log_at(path: str, folder: Path, relative: str | None) -> Source:
     """The log at the path in run.toml, else at the place relative to the results folder.
 
     In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
     """
-    places = [path, name_from_text(path)]
-    if place is not None:  # the path is relative to the folder that `run` was called in
-        places.append(str((folder.resolve() / name_from_text(place)).resolve()))
-    for candidate in places:
+    candidates = [path, name_from_text(path)]
+    if relative is not None:  # the path is relative to the folder that `run` was called in
+        candidates.append(str((folder.resolve() / name_from_text(relative)).resolve()))
+    for candidate in candidates:
         with suppress(MissingError):
             return find_log(candidate)
     return find_log(path)

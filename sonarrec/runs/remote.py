@@ -18,7 +18,7 @@ from sonarrec.errors import (
     UsageError,
     is_url,
     number_of,
-    shown_url,
+    redact_url,
 )
 from sonarrec.readers.containers.bag_folder import METADATA
 from sonarrec.readers.containers.images import names_an_image
@@ -31,14 +31,14 @@ TIMEOUT_S = 60
 """A server that says nothing for so long gives no answer."""
 SCHEMES = ("s3", "gs", "https", "http", "sftp")
 COMPANIONS = ("sonar.toml", "landmarks.toml", "poses.csv")
-"""What may lie beside a log: files of these names, and NAME.sonar.toml and so on."""
+"""Files that may belong to a log: of these names, and NAME.sonar.toml and so on."""
 
 
 def check_out(url: str) -> None:
     """Raise UsageError if results cannot be put there."""
     if url.partition(":")[0].lower() in ("http", "https"):
         raise UsageError(
-            f"{shown_url(url)}: results cannot be put on a web server; give s3, gs, sftp"
+            f"{redact_url(url)}: results cannot be put on a web server; give s3, gs, sftp"
         )
     with _in_one_line(url):
         _opened(url)
@@ -59,7 +59,7 @@ def logs_at(url: str, *, recursive: bool = False) -> list[str]:
         else:
             found = [*_below(fs, path, recursive)]
     if not found:
-        raise MissingError(f"{shown_url(url)}: no log there")
+        raise MissingError(f"{redact_url(url)}: no log there")
     return [front + p for p in sorted(found, key=natural_order)]
 
 
@@ -83,13 +83,13 @@ def local_copy(job: Job) -> Iterator[Job]:
     with ExitStack() as stack:
         if is_url(job.log):
             folder = stack.enter_context(TemporaryDirectory(prefix="sonarrec-"))
-            url = shown_url(job.log).rstrip("/").rpartition("/")[0]
+            url = redact_url(job.log).rstrip("/").rpartition("/")[0]
             log = _fetched(job.log, Path(folder))
             job = replace(job, log=str(log), urls={folder: url})
         if is_url(job.out):
             folder, url = stack.enter_context(TemporaryDirectory(prefix="sonarrec-")), job.out
             download(f"{url.rstrip('/')}/{job.name}", Path(folder, job.name))
-            job = replace(job, out=folder, urls={**job.urls, folder: shown_url(url).rstrip("/")})
+            job = replace(job, out=folder, urls={**job.urls, folder: redact_url(url).rstrip("/")})
         yield job
 
 
@@ -107,33 +107,33 @@ def _fetched(url: str, folder: Path) -> Path:
     return log
 
 
-def download(url: str, place: Path) -> None:
+def download(url: str, target: Path) -> None:
     """Fetch a file or folder, if it is there."""
     with _in_one_line(url):
         fs, path = _opened(url)
         if fs.exists(path):
-            fs.get(path, str(place), recursive=True)
+            fs.get(path, str(target), recursive=True)
 
 
-def upload(place: Path, url: str) -> None:
-    """Replace a file or folder on a server; what is there stays until the new one is whole."""
+def upload(source: Path, url: str) -> None:
+    """Replace a file or folder on a server; what is there stays until the new one is complete."""
     with _in_one_line(url):
         fs, path = _opened(url)
         part = f"{path}.part"
         try:
-            fs.put(str(place), part, recursive=place.is_dir())
-            sent, came = sum(p.is_file() for p in (place, *place.rglob("*"))), fs.find(part)
+            fs.put(str(source), part, recursive=source.is_dir())
+            sent, came = sum(p.is_file() for p in (source, *source.rglob("*"))), fs.find(part)
             if len(came) != sent:
                 raise SonarrecError(
-                    f"{shown_url(url)}: {len(came)} of {number_of(sent, 'file')} arrived"
+                    f"{redact_url(url)}: {len(came)} of {number_of(sent, 'file')} arrived"
                 )
             if fs.exists(path):
                 fs.rm(path, recursive=True)
-            if place.is_dir():
+            if source.is_dir():
                 fs.makedirs(path, exist_ok=True)
             for one in sorted(came, key=lambda name: name.endswith("run.toml")):  # that last
                 fs.mv(one, path + one[len(part) :])
-            with suppress(FileNotFoundError):  # where folders are things of their own
+            with suppress(FileNotFoundError):  # where folders exist by themselves
                 fs.rm(part, recursive=True)
         except BaseException:  # Ctrl-C as well
             with suppress(Exception):
@@ -152,9 +152,9 @@ def _opened(url: str) -> tuple[Any, str]:
     if scheme not in SCHEMES:
         raise UsageError(f"{scheme}://: only {'://, '.join(SCHEMES)}:// and local files are read")
     before = re.split("[?;#]", url)[0]
-    if scheme in ("s3", "gs") and shown_url(before) != before:
+    if scheme in ("s3", "gs") and redact_url(before) != before:
         raise UsageError(
-            f"{shown_url(url)}: a key in a URL of {scheme}:// is not used; leave it out, "
+            f"{redact_url(url)}: a key in a URL of {scheme}:// is not used; leave it out, "
             "`sonarrec help run` has where keys are searched"
         )
     try:
@@ -173,7 +173,7 @@ def _opened(url: str) -> tuple[Any, str]:
         fs, path = fsspec.url_to_fs(url, use_listings_cache=False, **_patience(scheme))
     except ImportError as error:
         missing = f"{error.name} is missing; pip install 'sonarrec[remote]'"
-        raise SonarrecError(f"{shown_url(url)}: {missing}") from None
+        raise SonarrecError(f"{redact_url(url)}: {missing}") from None
     return fs, path
 
 
@@ -198,12 +198,12 @@ def _in_one_line(url: str) -> Iterator[None]:
     except SonarrecError:
         raise
     except FileNotFoundError:
-        raise MissingError(f"{shown_url(url)}: not there, or no answer from its server") from None
+        raise MissingError(f"{redact_url(url)}: not there, or no answer from its server") from None
     except Exception as error:  # s3fs, gcsfs, aiohttp and asyncssh have no common class
-        text = " ".join(str(error).replace(url, shown_url(url)).split())[:200]
+        text = " ".join(str(error).replace(url, redact_url(url)).split())[:200]
         signs = r"[\s:@/?;#&=]+"
         secrets = {*re.split(signs, url), *re.split(signs, unquote(url))}
-        secrets -= {*re.split(signs, shown_url(url))}
+        secrets -= {*re.split(signs, redact_url(url))}
         if not text or any(len(secret) > 1 and secret in text for secret in secrets):
             text = type(error).__name__
-        raise SonarrecError(f"{shown_url(url)}: {text}; see `sonarrec help run`") from None
+        raise SonarrecError(f"{redact_url(url)}: {text}; see `sonarrec help run`") from None

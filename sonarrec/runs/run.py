@@ -14,7 +14,7 @@ import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.errors import UsageError, is_url, local, number_of, shown_url
+from sonarrec.errors import UsageError, is_url, number_of, redact_url, refuse_url
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
@@ -40,7 +40,24 @@ Presets = str | Config | Sequence[str | Config]
 
 
 class Recogniser:
-    """Recognises the landmarks in frames of a log, and gives their results; writes no files."""
+    """Recognises the landmarks in frames of a log, and gives their results; writes no files.
+
+    Parameters
+    ----------
+    source : Log or Fan
+        An opened log, or the geometry that frames of your own share.
+    preset : str, Config or sequence of these, default "default"
+        As in `run`.
+    landmarks : str, Path or LandmarkSet, default "basin"
+        A landmark set, or its name or TOML file.
+    model : str or Path, optional
+        A model that `sonarrec calibrate` learned.
+
+    Raises
+    ------
+    SonarrecError
+        One of these cannot be used.
+    """
 
     def __init__(
         self,
@@ -50,10 +67,6 @@ class Recogniser:
         landmarks: str | Path | LandmarkSet = "basin",
         model: str | Path | None = None,
     ) -> None:
-        """source: an opened log, or the fan geometry that frames of your own share.
-
-        The rest is as in `run`. Raises SonarrecError where one of them cannot be used.
-        """
         self._log = source if isinstance(source, Log) else None
         self._fan = source if isinstance(source, Fan) else None
         self._configs = configs_of(preset)
@@ -63,12 +76,26 @@ class Recogniser:
         self._model = None if model is None else read_model(Path(model)).model
 
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
-        """Yield a FrameResult for each Frame, in the frames' order, some frames later.
+        """Recognise the landmarks in frames, in their order.
 
-        frames: of one fan, by rising index; `pixels` are the fan image, (rows, columns) uint8, or
-        polar where a frame has `polar`. Default: the log's own. Nothing is remembered from one call
-        to the next. Raises UsageError at an image whose shape or type does not fit the fan,
-        and at a frame that does not come after the last.
+        Nothing is remembered from one call to the next.
+
+        Parameters
+        ----------
+        frames : iterable of Frame, optional
+            Frames of one fan, by rising index. `pixels` are the fan image, (rows, columns) uint8,
+            or (range bins, beams) uint8 where a frame has `polar`. Default: those of the log.
+
+        Yields
+        ------
+        FrameResult
+            One for each frame, some frames later; positions in px, m and deg.
+
+        Raises
+        ------
+        UsageError
+            An image has a shape or type that does not fit the fan, or a frame does not come after
+            the one before.
         """
         frames = self._log if frames is None else frames
         if frames is None:
@@ -116,8 +143,8 @@ def configs_of(presets: Presets) -> list[Config]:
         raise UsageError("preset: none is given; leave it out for default")
     if len(set(names)) < len(names):
         raise UsageError(
-            f"preset {', '.join(names)}: each once, for results go by its name; run settings of "
-            "one preset apart, each with an out of its own"
+            f"preset {', '.join(names)}: each once, for results go by its name; to compare "
+            "settings of one preset, run it once for each, each with an out of its own"
         )
     return configs
 
@@ -180,22 +207,54 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
 ) -> Outcome | Runs:
     """Recognise the landmarks in a log, or in each of several; results go to `out`/<log name>/.
 
-    One log gives its Outcome. Several give Runs, and one that cannot be used does not stop the
-    others.
+    Of several logs one that cannot be used does not stop the others.
 
-    log: an MCAP file, a bag of ROS, a folder or glob of images, a video or a sonar's own file.
-    preset: "default", "offline", "paper", a Config, or several, each of a name of its own.
-    landmarks: a set by name or TOML file, default `basin`. model: of `sonarrec calibrate`. sonar:
-    geometry that wins over files, such as {"tilt_deg": 20.0} (keys and units of sonar.toml: m,
-    deg). sonar_file: in place of the sonar.toml beside the log. topic: the image channel of an
-    MCAP or bag. time: which time of its messages names a frame, "log" (default), "publish" or
-    "header". odometry: CSV of the sonar's poses. frames: only those from the first number up to,
-    not including, the second, if there is one; they keep their numbers. overwrite: do again what is
-    up to date, and replace the results of another log of that name. jobs: how many logs
-    run at once; default: the number of cores. observe: called after each frame of a single log with
-    its FrameResult and the number of frames (None where unknown).
+    Parameters
+    ----------
+    log : str, Path or sequence of these
+        An MCAP file, a ROS bag, a folder or glob of images, a video or a sonar's own file.
+    out : str or Path, default "sonarrec_out"
+        The folder of the results.
+    preset : str, Config or sequence of these, default "default"
+        "default", "offline", "paper" or settings; several run side by side, each of another name.
+    landmarks : str or Path, optional
+        A landmark set, by name or TOML file. Default: landmarks.toml of the log, else `basin`.
+    model : str or Path, optional
+        A model that `sonarrec calibrate` learned.
+    sonar : Sonar or mapping, optional
+        Geometry that takes precedence over files, such as {"tilt_deg": 20.0}, with the keys and
+        units of sonar.toml: m, deg.
+    sonar_file : str or Path, optional
+        A sonar.toml, in place of the log's own.
+    topic : str, optional
+        The image channel of an MCAP or bag.
+    time : {"log", "publish", "header"}, optional
+        Which time of a message becomes the time of its frame. Default: log.
+    odometry : str or Path, optional
+        A CSV of the sonar's poses.
+    frames : tuple of int, optional
+        (first, end): only these frames, without `end`, which may be None: to the last. They keep
+        their numbers.
+    overwrite : bool, default False
+        Do again what is up to date, and replace the results of another log of that name.
+    jobs : int, optional
+        How many logs run at once. Default: the number of cores.
+    observe : callable, optional
+        Of a single log: called after each frame with its FrameResult and the number of frames,
+        None if that is not known.
 
-    Raises SonarrecError for input or settings that cannot be used; what was written stays.
+    Returns
+    -------
+    Outcome or Runs
+        Of one log its Outcome: folder, counts, sightings, notes and problems. Of several Runs:
+        `table` has a row per log.
+
+    Raises
+    ------
+    SonarrecError
+        Input or settings cannot be used; what was written stays.
+    UsageError
+        An option is invalid.
     """
     log_options = LogOptions(
         sonar=sonar_from(sonar),
@@ -210,7 +269,7 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     run_options = RunOptions(configs_of(preset), landmarks, learned)
     several = [log] if isinstance(log, str | Path) else log
     logs = [NamedLog(str(one)) for one in several]
-    to_run = jobs_of(logs, str(local(out)), log_options, run_options, overwrite)
+    to_run = jobs_of(logs, str(refuse_url(out)), log_options, run_options, overwrite)
     if isinstance(log, str | Path):
         with at_hand(to_run[0]) as job:
             return run_log(job, observe)
@@ -232,9 +291,9 @@ def jobs_of(
 ) -> list[Job]:
     """A job for each log. out: the folder of the results, or its URL.
 
-    Raises UsageError if two logs cannot be told apart.
+    Raises UsageError if two logs would have the same name.
     """
-    names = result_names([shown_url(log.path) if is_url(log.path) else log.path for log in logs])
+    names = result_names([redact_url(log.path) if is_url(log.path) else log.path for log in logs])
     return [
         Job(
             log=log.path,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.simulation.motion import Plane, Pose, within_half_turn
+from sonarrec.simulation.motion import Plane, Pose, wrapped
 from sonarrec.simulation.scene import Scene
 from sonarrec.simulation.world import View
 
@@ -65,7 +65,7 @@ class Shoal:
         self._offset = rng.normal(0, 1, (n, 2)) * spread[:, None]
         self._mill = rng.uniform(0, 2 * np.pi, (n, 2))
 
-    def at(self, time_s: float) -> Fishes:
+    def positions(self, time_s: float) -> Fishes:
         """The positions of the fish at a time."""
         weave = 2 * np.pi * time_s / self._period + self._phase
         ahead = np.column_stack([np.sin(self._heading), np.cos(self._heading)])
@@ -97,7 +97,7 @@ class Shoal:
         for n in np.flatnonzero(seen):
             below, length = pose.height_m - now.up_m[n], now.length_m[n]
             ground = math.sqrt(max(slant[n] ** 2 - below**2, 1e-4))
-            across = float(within_half_turn(now.heading_deg[n] - azimuth[n]))
+            across = float(wrapped(now.heading_deg[n] - azimuth[n]))
             # The shadow lies where the line past the fish meets the floor, so it is larger than
             # the fish; the height of the fish stretches it along that line.
             larger, longer = pose.height_m / below, WIDTH * length * ground / below

@@ -204,6 +204,6 @@ class SquareGrid:
         """
         run = self.cell_m / (np.maximum(ground, 0.05) * math.radians(STEP_DEG))
         run = np.maximum(run, 1.0)
-        whole = np.floor(run)
-        share = run - whole
-        return np.asarray(np.sqrt(run / (whole**2 * (1 - share) + (whole + 1) ** 2 * share)))
+        full = np.floor(run)
+        share = run - full
+        return np.asarray(np.sqrt(run / (full**2 * (1 - share) + (full + 1) ** 2 * share)))

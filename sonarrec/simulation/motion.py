@@ -50,13 +50,13 @@ def _run(scene: Scene) -> FloatArray:
     time = np.arange((scene.frames - 1) * 10 + 1) / (10 * scene.rate_hz)
     swing = np.sin(2 * np.pi * time[:, None] / motion.swing_period_s + phase)
     throughout, amplitude = motion.speeds
-    ahead, right, turn = (throughout + amplitude * swing).T
+    ahead, right, yaw_rate = (throughout + amplitude * swing).T
 
     def summed(speed: FloatArray) -> FloatArray:  # by the trapezoidal rule
         steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    heading = summed(turn)
+    heading = summed(yaw_rate)
     sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
     x, y = summed(ahead * sine + right * cosine), summed(ahead * cosine - right * sine)
     return np.column_stack([heading, x, y])[::10]
@@ -86,8 +86,8 @@ def poses(scene: Scene) -> list[Pose]:
     return [Pose(*values) for values in every.tolist()]
 
 
-def within_half_turn(bearing_deg: FloatArray | float) -> FloatArray:
-    """Bearings shifted by whole turns to -180 to 180 deg."""
+def wrapped(bearing_deg: FloatArray | float) -> FloatArray:
+    """Bearings shifted by multiples of 360 deg to -180 to 180 deg."""
     return np.asarray(bearing_deg - 360 * np.rint(np.asarray(bearing_deg) / 360))
 
 
@@ -130,9 +130,9 @@ class Plane:
             across = dx * math.cos(pan) - dy * math.sin(pan)
             across = across * math.cos(roll) - dz * math.sin(roll)
             bearing = np.degrees(np.arctan2(across, dx * math.sin(pan) + dy * math.cos(pan)))
-        return np.asarray(slant), within_half_turn(bearing)
+        return np.asarray(slant), wrapped(bearing)
 
-    def look(
+    def view(
         self, pose: Pose, range_m: FloatArray, azimuth_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """What the sonar sees, each (bins, n) float32: x and y along the floor (m), the angle below

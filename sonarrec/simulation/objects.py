@@ -245,7 +245,7 @@ def _raised(
     height = level * math.tan(lean) + middle_m
     along = level * (1 / math.cos(lean) - 1)
     dx, dy = dx + along * right, dy + along * ahead
-    # The raised edge faces the sonar or faces away from it.
+    # The raised edge is on the near side or on the far side, seen from the sonar.
     near = -(dx * x0 + dy * y0) / (radius_m * item.ground_m)
     rim = np.hypot(dx, dy) / radius_m > 0.8
     edge = np.where(rim, near * np.clip(height / (2 * middle_m), 0, 1), 0.0)
@@ -273,7 +273,7 @@ def ripples(scene: Scene, grid: PolarGrid | SquareGrid, bare: BoolArray) -> np.n
 
 
 LEAST_DIFFERENCE = 0.12
-"""Share of the circle in which sectors must differ from every ID, however they are turned."""
+"""Share of the circle in which sectors must differ from every ID, at any rotation."""
 LEAST_DIFFERENCE_BLOBS = 0.18
 """The same for patches, as a share of the area; more, because patches have edges all over."""
 DIRECTIONS = 360  # into which the circle is divided
@@ -318,7 +318,7 @@ def _values(picture: BoolArray, x: FloatArray, y: FloatArray) -> BoolArray:
 
 
 def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
-    """(_GLYPH, _GLYPH) smooth patches that differ from every ID, however it is turned."""
+    """(_GLYPH, _GLYPH) smooth patches that differ from every ID, at any rotation."""
     y, x = 1 - 2 * (np.mgrid[:_GLYPH, :_GLYPH] + 0.5) / _GLYPH
     within = np.hypot(x, y) <= 1
     way = np.mod(np.arctan2(y, -x), 2 * math.pi)[within] / (2 * math.pi) * DIRECTIONS
@@ -332,7 +332,7 @@ def _blobs(landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
 
 
 def _sectors(kind: str, landmarks: LandmarkSet, rng: np.random.Generator) -> BoolArray:
-    """(DIRECTIONS,) sectors round the circle that differ from every ID, however it is turned."""
+    """(DIRECTIONS,) sectors round the circle that differ from every ID, at any rotation."""
     rotations = _rotations(landmarks)
     while True:
         if kind == "wedges":

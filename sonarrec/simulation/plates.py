@@ -65,10 +65,10 @@ class Plates:
         distance = stated.range_m + 0.1 * wave[0]
         bearing = math.radians(stated.bearing_deg + 4 * wave[1])
         angles = (stated.turned_deg, stated.tilt_deg, stated.axis_deg)
-        turned, tilt, axis = (
+        rotation, tilt, axis = (
             math.radians(angle + 12 * w) for angle, w in zip(angles, wave[2:5], strict=True)
         )
-        spin = _rotation(axis - bearing, 2) @ _rotation(tilt, 0) @ _rotation(turned - axis, 2)
+        spin = _rotation(axis - bearing, 2) @ _rotation(tilt, 0) @ _rotation(rotation - axis, 2)
         axes = spin[:, :2] * scene.landmark_set.radius_m
         if stated.mirrored:
             axes = axes * (-1, 1)
@@ -82,13 +82,13 @@ class Plates:
         range_of, bearing_of = _polar(middle + points @ axes.T).T
         inside = (range_of >= scene.range_min_m) & (range_of <= scene.range_max_m)
         inside &= np.abs(bearing_of) <= scene.field_of_view_deg / 2
-        turn = math.degrees(math.atan2(axes[1, 0], axes[0, 0])) % 360
+        rotation = math.degrees(math.atan2(axes[1, 0], axes[0, 0])) % 360
         polar = _polar(np.concatenate([middle[None], middle + CORNERS @ axes.T]))
         range_m, bearing_deg = polar[0].tolist()
         column, row = pixel_from_polar(fan, range_m, bearing_deg)
         where = float(column), float(row), range_m, bearing_deg
         visible = round(float(inside.mean()), 3)
-        return Truth(plate.landmark, *where, visible, turn, "", polar[1:])
+        return Truth(plate.landmark, *where, visible, rotation, "", polar[1:])
 
     def _image(self, index: int, held: list[Held]) -> ByteImage:
         """The frame's grey levels; without plates, noise alone."""
@@ -192,9 +192,9 @@ class Plates:
         beam = rng.uniform(0.1, 0.9) * scene.beams
         x = np.radians((beams - beam) * self._beam_deg) * range_m / side_m * 2
         y = (scene.range_min_m + bins * self._bin_m - range_m) / side_m * 2
-        turn, squeeze = rng.uniform(0, np.pi), rng.uniform(0.5, 1)
-        u = x * math.cos(turn) + y * math.sin(turn)
-        v = (y * math.cos(turn) - x * math.sin(turn)) / squeeze
+        rotation, squeeze = rng.uniform(0, np.pi), rng.uniform(0.5, 1)
+        u = x * math.cos(rotation) + y * math.sin(rotation)
+        v = (y * math.cos(rotation) - x * math.sin(rotation)) / squeeze
         power = rng.choice([2, 8])
         inside = np.abs(u) ** power + np.abs(v) ** power < rng.uniform(0.6, 1.3)
         kind = rng.integers(3)

@@ -14,7 +14,7 @@ from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import NO_ECHO_DB, Scene, scene_bearings
 from sonarrec.simulation.world import View
 
-GROUP = 8  # so many neighbouring beams share a gain; beams this far apart fire together
+GROUP = 8  # neighbouring beams that share a gain; beams at multiples of this distance fire together
 MOST_BANDS = 100  # bands of surface echo, at most; one more would be 300 dB below the first
 
 
@@ -44,10 +44,10 @@ class Receiver:
         self.bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
         self.range_m = sonar.range_min_m + (np.arange(sonar.range_bins) + 0.5) * self.bin_m
         rng = np.random.default_rng([scene.seed, 3])
-        apart = np.abs(np.arange(beams)[:, None] - np.arange(beams)[None, :])
-        together = (apart % GROUP == 0) & (apart > 0)
-        leak = 10 ** (sonar.cross_talk_db / 20) * (apart > 0)
-        leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(apart / GROUP, 1)
+        distance = np.abs(np.arange(beams)[:, None] - np.arange(beams)[None, :])
+        together = (distance % GROUP == 0) & (distance > 0)
+        leak = 10 ** (sonar.cross_talk_db / 20) * (distance > 0)
+        leak += 10 ** (sonar.stray_db / 20) * together / np.maximum(distance / GROUP, 1)
         phase = rng.uniform(0, 2 * np.pi, (beams, beams))
         mixed = np.eye(beams) + leak * np.exp(1j * phase)
         # By beam that leaks: the real and the imaginary part of what each beam gets, in turns.

@@ -77,7 +77,7 @@ def render(
         moved = np.array([pose.x_m, pose.y_m, heave]) * (math.sqrt(2) / scene.floor.speckle_m)
         view = world.view(receiver.range_m, pose, [time_s / scene.floor.speckle_s, *moved])
         if shoal:
-            fishes = shoal.at(time_s)
+            fishes = shoal.positions(time_s)
             rng = np.random.default_rng([scene.seed, 15, index])
             shoal.swim_into(view, receiver.range_m, pose, fishes, rng)
         gains_db = fading.signal_db[index], fading.drift_db[index]

@@ -23,10 +23,10 @@ from sonarrec.tables.toml import (
     AtLeastOne,
     Count,
     Finite,
+    Integer,
     NotNegative,
     Positive,
     Share,
-    Whole,
     bounds,
     brief,
     from_table,
@@ -80,7 +80,7 @@ class SonarSection:
     range_bins: Size = 512  # also the rows of the image
     beams: Size = 96
     field_of_view_deg: Positive = 28.8
-    bearings: Literal["even", "didson"] = "even"  # didson: 0.37 deg apart, 0.22 at the edges
+    bearings: Literal["even", "didson"] = "even"  # didson: a beam every 0.37 deg, 0.22 at the edges
     height_m: Positive = 0.68  # true height above the floor straight below
     tilt_deg: Positive = 20.0  # true tilt, downward
     height_error_m: Finite = 0.0  # sonar.toml states the true value plus this
@@ -88,7 +88,7 @@ class SonarSection:
     vertical_beam_deg: Positive = 14.0  # two-way, between half-power points
     beam_width_deg: Positive = 0.4  # two-way, between half-power points
     side_lobe_db: Level = -30.0  # of each beam, two-way, below its main lobe
-    stray_db: Level = -38.0  # leak between beams eight apart, which fire together
+    stray_db: Level = -38.0  # leak between beams at distances of 8, which fire together
     cross_talk_db: Level = -38.0  # leak of every beam into every other
     pulse_m: Positive = 0.008  # length of the pulse in range, between half-power points
 
@@ -183,7 +183,7 @@ class MultipathSection:
     """Echoes by way of the surface. It moves, so their speckle is new in every frame."""
 
     copy_db: Level = -100.0  # of a later, blurred copy of the scene; none at NO_ECHO_DB or less
-    delay_m: Positive = 0.4  # how much farther away it shows
+    delay_m: Positive = 0.4  # how much farther it shows
     blur_m: NotNegative = 0.03  # standard deviation in range
     blur_beams: NotNegative = 1.5  # and across
     band_db: Level = -100.0  # of a band of surface echo, over the floor; too
@@ -240,7 +240,7 @@ class PlacedLandmark:
     begins, counter-clockwise seen from above, from the right of a sonar at pan 0.
     """
 
-    id: Whole
+    id: Integer
     ground_m: Positive
     azimuth_deg: Finite
     orientation_deg: Finite = 0.0
@@ -457,11 +457,11 @@ def _plain(value: Any) -> Any:
 def scene_bearings(scene: Scene) -> FloatArray:
     """(beams,) bearing of the centre of every beam, deg, from left to right."""
     beams = scene.sonar.beams
-    place = (np.arange(beams) + 0.5) / beams * 2 - 1
+    share = (np.arange(beams) + 0.5) / beams * 2 - 1
     if scene.sonar.bearings == "didson":
         # Spacing proportional to 0.37 deg in the middle, falling to 0.22 deg at both edges.
-        place = (0.37 * place - 0.075 * place * np.abs(place)) / (0.37 - 0.075)
-    return np.asarray(place * scene.sonar.field_of_view_deg / 2)
+        share = (0.37 * share - 0.075 * share * np.abs(share)) / (0.37 - 0.075)
+    return np.asarray(share * scene.sonar.field_of_view_deg / 2)
 
 
 def scene_sonar(scene: AnyScene) -> Sonar:

@@ -12,18 +12,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sonarrec.errors import SonarrecError, UsageError, local
+from sonarrec.errors import SonarrecError, UsageError, refuse_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.columns import CORNERS
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import AnyScene, PlateScene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
 from sonarrec.sonar import Sonar
-from sonarrec.tables.outputs import check_apart, made_whole, writing
+from sonarrec.tables.outputs import check_distinct, filled_at_once, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])
 COMPANIONS = ("gt.csv", "scene.toml", "sonar.toml", "landmarks.toml")
-"""Files written beside the frames."""
+"""Files written with the frames."""
 
 
 def simulate(
@@ -33,16 +33,33 @@ def simulate(
     seed: int | None = None,
     frames: int | None = None,
 ) -> Path:
-    """Render a recording with known truth into `out`, and return it.
+    """Render a recording with ground truth: frames, sonar.toml, gt.csv and the scene itself.
 
-    scene: the name of a built-in one, a TOML file or a Scene. out: a new folder, or NAME.mcap.
-    seed, frames: replace those of the scene. Raises SonarrecError if the scene cannot be used, or
-    if `out` cannot be written or is in use.
+    Parameters
+    ----------
+    scene : str, Path, Scene or PlateScene, default "paper"
+        The name of a built-in scene, a TOML file, or a scene.
+    out : str or Path, default "simulated"
+        A new or empty folder for images, or NAME.mcap.
+    seed : int, optional
+        In place of that of the scene.
+    frames : int, optional
+        The number of frames, in place of that of the scene.
+
+    Returns
+    -------
+    Path
+        `out`.
+
+    Raises
+    ------
+    SonarrecError
+        The scene cannot be used, or `out` cannot be written or is in use.
     """
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}
     given: Any = {key: value for key, value in changed.items() if value is not None}
-    write_recording(replace(chosen, **given), Path(local(out)))
+    write_recording(replace(chosen, **given), Path(refuse_url(out)))
     return Path(out)
 
 
@@ -51,7 +68,7 @@ def write_recording(
 ) -> None:
     """Write frames, sonar.toml, gt.csv and scene.toml; of plates corners.csv and no scene.toml.
 
-    out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, beside which NAME.sonar.toml,
+    out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, with which NAME.sonar.toml,
     NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame with the number
     of frames done. The messages of an MCAP of polar images state the sonar's geometry, and
     sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in use.
@@ -77,9 +94,9 @@ def write_recording(
         documents["landmarks"] = scene.landmark_set.as_table()
     documents["sonar"] = {"sonar": sonar.as_table()}
     if mcap:
-        check_apart(out)
+        check_distinct(out)
     frames = render(scene)
-    with writing(out), made_whole(folder) as new, ExitStack() as stack:
+    with writing(out), filled_at_once(folder) as new, ExitStack() as stack:
 
         def table(name: str, columns: Iterable[str]) -> Any:
             path = new / f"{prefix}{name}"

@@ -164,7 +164,7 @@ class World:
         azimuth = grid.azimuths(pose.pan_deg)
         cell: Cells
         if pose.roll_deg or self._plane.slope_deg:
-            x, y, depression, sine = self._plane.look(pose, range_m, azimuth)
+            x, y, depression, sine = self._plane.view(pose, range_m, azimuth)
             ground = range_m[:, None] * np.cos(np.radians(depression))
             cell = grid.index(x, y)
         else:
@@ -248,7 +248,7 @@ def _hidden(below_m: np.ndarray, ground_m: np.ndarray) -> np.ndarray:
 def _lit(grazing: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Amplitude of a slope relative to level floor, by Lambert's law, there and back.
 
-    grazing: angle on level floor, rad. slope: rise over run, away from the sonar.
+    grazing: angle on level floor, rad. slope: rise over run, with growing range.
     """
     lit = np.sin(np.clip(grazing + np.arctan(slope), 0.02, np.pi / 2))
     return np.asarray(lit / np.sin(grazing))

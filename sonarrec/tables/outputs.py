@@ -60,15 +60,15 @@ def check_output(
     kind: of the output; an existing file must be of this kind. reads: files and folders that the
     command reads; None is ignored. header: the beginning of our tables or JSON of this kind.
     """
-    for place in (Path(read) for read in reads if read is not None):
-        images = glob.has_magic(str(place)) and not place.exists()  # a glob of images
-        log = place.parent if images else place
-        if _same(path, place) or _same(path, log):
+    for source in (Path(read) for read in reads if read is not None):
+        images = glob.has_magic(str(source)) and not source.exists()  # a glob of images
+        log = source.parent if images else source
+        if _same(path, source) or _same(path, log):
             raise UsageError(f"{path}: this command reads it; write somewhere else")
     if kind in ("picture", "overlay", "video"):
-        check_apart(path)
+        check_distinct(path)
     if not path.exists():
-        above = next(place for place in path.parents if place.exists())
+        above = next(parent for parent in path.parents if parent.exists())
         if not above.is_dir():
             raise UsageError(f"{path}: {above} is not a folder")
         if not os.access(above, os.W_OK | os.X_OK):
@@ -87,8 +87,8 @@ def check_output(
 
 def free_name(path: Path) -> Path:
     """The path, or if there is something already, the first free one with a number behind it."""
-    whole = Path(path.resolve().name)  # also of "."
-    names = (path.parent / f"{whole.stem}_{n}{whole.suffix}" for n in itertools.count(2))
+    full = Path(path.resolve().name)  # also of "."
+    names = (path.parent / f"{full.stem}_{n}{full.suffix}" for n in itertools.count(2))
     return next(name for name in itertools.chain([path], names) if not os.path.lexists(name))
 
 
@@ -117,7 +117,7 @@ def below(results: Path, name: str) -> Path:
     return path
 
 
-def check_apart(path: Path) -> None:
+def check_distinct(path: Path) -> None:
     """Raise UsageError if an image, a video or an MCAP would become a part of a recording.
 
     A folder is one if it holds images of others and a sonar.toml, or several whose names differ
@@ -159,7 +159,7 @@ def _images_of_others(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def made_whole(folder: Path) -> Iterator[Path]:
+def filled_at_once(folder: Path) -> Iterator[Path]:
     """A temporary folder inside `folder`, from which the files are moved there at the end, or
     deleted after an error. Raises OSError."""
     is_new = not folder.exists()
@@ -201,18 +201,18 @@ def is_filled(path: Path) -> bool:
 
 
 @contextmanager
-def writing(place: object) -> Iterator[None]:
-    """Turn an OSError raised inside into a SonarrecError that names the file, else `place`."""
+def writing(path: object) -> Iterator[None]:
+    """Turn an OSError raised inside into a SonarrecError that names the file, else `path`."""
     try:
         yield
     except OSError as error:
-        where = error.filename or place
+        where = error.filename or path
         raise SonarrecError(f"{where}: cannot be written ({error.strerror})") from None
 
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it at the end, or is deleted after an error.
+    """A temporary path next to `path` that replaces it at the end, or is deleted after an error.
 
     Missing folders are created. For a link its target is replaced. Devices and pipes are written
     directly. An OSError names `path`.
@@ -244,14 +244,14 @@ def write_text(path: Path, text: str) -> None:
         new.write_text(text, encoding="utf-8", newline="")
 
 
-def write_figure(path: Path, figure: Any, **look: Any) -> None:
+def write_figure(path: Path, figure: Any, **options: Any) -> None:
     """Write a matplotlib figure as a marked PNG. look: options of savefig. Raises OSError."""
     with replaced(path) as new, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # a box is drawn in its place
-        figure.savefig(new, format="png", metadata=PICTURE_MARK, **look)
+        figure.savefig(new, format="png", metadata=PICTURE_MARK, **options)
 
 
-def plain(name: str) -> str:
+def escape_mathtext(name: str) -> str:
     """A name so that matplotlib shows it in the legend and does not read it as a formula."""
     return " " * name.startswith("_") + name.replace("$", r"\$")
 

@@ -60,7 +60,7 @@ _OPTIONS: dict[str, Any] = {
     "low_memory": False,
     "compression": None,
 }
-_ALIKE = 0.7  # of difflib's ratio: visibility is near visible, comment is near none
+_SIMILARITY = 0.7  # of difflib's ratio: visibility is near visible, comment is near none
 _ROWS_AT_ONCE = 2**16
 """A table as a whole is read in parts of so many rows: data frames take several times its size."""
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
@@ -73,21 +73,21 @@ class _Bounds:
     words: str
     least: float = -np.finfo(float).max
     most: float = np.finfo(float).max
-    whole: bool = False
+    integer: bool = False
 
 
 _FINITE = _Bounds("a finite number")
-_PLACE = _Bounds("a finite number", -LARGEST, LARGEST)
+_POSITION = _Bounds("a finite number", -LARGEST, LARGEST)
 _BOUNDS: dict[Kind, _Bounds] = {
-    "whole": _Bounds("a whole number", whole=True),
-    "landmark": _Bounds("an ID such as 3 or ID.3, or none", whole=True),
+    "whole": _Bounds("a whole number", integer=True),
+    "landmark": _Bounds("an ID such as 3 or ID.3, or none", integer=True),
     "number": _FINITE,
     "blank or number": _FINITE,
     "time": _Bounds("a finite number, or a time with its UTC offset such as 2024-05-01T12:00:00Z"),
-    "place": _PLACE,
-    "blank or place": _PLACE,
+    "place": _POSITION,
+    "blank or place": _POSITION,
     "share": _Bounds("0 to 1", 0, 1),
-    "flag": _Bounds("0 or 1", 0, 1, whole=True),
+    "flag": _Bounds("0 or 1", 0, 1, integer=True),
 }
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _MAY_BE_BLANK: tuple[Kind, ...] = ("blank or number", "blank or place", "share")
@@ -165,8 +165,8 @@ def mistaken_columns(
 def _nearest(name: str, known: Sequence[str]) -> str:
     """The known name of a column that another name may stand for; empty: none."""
     plain = name.strip().lower()
-    begun = [one for one in known if plain and (one.startswith(plain) or plain.startswith(one))]
-    return next(iter(begun or get_close_matches(plain, known, 1, _ALIKE)), "")
+    prefixed = [one for one in known if plain and (one.startswith(plain) or plain.startswith(one))]
+    return next(iter(prefixed or get_close_matches(plain, known, 1, _SIMILARITY)), "")
 
 
 def read_header(path: Path, expected: str) -> list[str]:
@@ -184,13 +184,13 @@ def _parts(
             if (what := something_else(file.read(32))) is not None:
                 raise SonarrecError(f"{path}: {what}")
     options: Any = {"dtype": dtype, "chunksize": rows or 2**62, **_OPTIONS}
-    parts = _told(path, expected, lambda: pd.read_csv(path, **options))
+    parts = _in_one_line(path, expected, lambda: pd.read_csv(path, **options))
     with parts:
-        while (part := _told(path, expected, lambda: next(parts, None))) is not None:
+        while (part := _in_one_line(path, expected, lambda: next(parts, None))) is not None:
             yield part.dropna(how="all")  # Excel leaves lines of commas alone
 
 
-def _told(path: Path, expected: str, read: Callable[[], Any]) -> Any:
+def _in_one_line(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     """The result of `read`. Raises SonarrecError, in one line, where pandas finds no table."""
     try:
         with warnings.catch_warnings():
@@ -249,7 +249,7 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
             number = text.str.replace(rf"^{ID_IN_LABELS}(?=\d)", "", case=False, regex=True)
             values = np.where(text == "none", NONE, _numbers(number))
         bad, must = ~((values >= bounds.least) & (values <= bounds.most)), bounds.words
-        if bounds.whole and values.dtype.kind == "f":
+        if bounds.integer and values.dtype.kind == "f":
             bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
         if kind in _MAY_BE_BLANK:
             bad &= ~blank
@@ -258,13 +258,15 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         found = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
         if kind in ("place", "blank or place") and np.isfinite(values[row]):
             must += " from -1e9 to 1e9"
+        if str(column.name).endswith("_ns") and kind == "whole" and values[row] % 1 > 0:
+            must += " of ns (1 s is 1000000000)"
         line = line_number(path, first + row)
         raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {found}")
     if kind in _TEXTS:
         return values
     if kind == "flag":
         return values.astype(bool)
-    return values.astype(np.int64) if _BOUNDS[kind].whole else values.astype(float)
+    return values.astype(np.int64) if _BOUNDS[kind].integer else values.astype(float)
 
 
 def _numbers(column: Any) -> Any:

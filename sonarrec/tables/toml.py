@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.errors import SonarrecError, hidden
+from sonarrec.errors import SonarrecError, redact_urls
 from sonarrec.tables import something_else
 
 MAX_LENGTH = 2**24
@@ -45,7 +45,7 @@ Finite = Annotated[float, bounds(-_MOST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=_MOST)]
 NotNegative = Annotated[float, bounds(0)]
 Share = Annotated[float, bounds(0, 1)]
-Whole = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # the range that TOML requires
+Integer = Annotated[int, bounds(-(2**63), 2**63 - 1)]  # the range that TOML requires
 Count = Annotated[int, bounds(0, 2**63 - 1)]
 AtLeastOne = Annotated[int, bounds(1, 2**63 - 1)]
 
@@ -141,9 +141,9 @@ def from_table(
     Raises SonarrecError for unknown and missing keys and for values of a wrong type or out of
     bounds.
     """
-    place = f"{where}: [{section}]" if section else where
+    name_of_table = f"{where}: [{section}]" if section else where
     if not isinstance(table, Mapping):
-        raise SonarrecError(f"{place} must be a table of keys, not {brief(table)}")
+        raise SonarrecError(f"{name_of_table} must be a table of keys, not {brief(table)}")
     types = types_of(kind)  # type: ignore[arg-type]
     names = {f.metadata.get("key", f.name): f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
     inside = f" in [{section}]" if section else ""
@@ -178,7 +178,7 @@ def from_table(
         if f.name not in values and (f.default, f.default_factory) == needed
     ]
     if lacks:
-        raise SonarrecError(f"{place} lacks {', '.join(lacks)}")
+        raise SonarrecError(f"{name_of_table} lacks {', '.join(lacks)}")
     return kind(**values)
 
 
@@ -192,9 +192,9 @@ def _meant(key: str, names: Iterable[str]) -> str:
 def checked(value: object, wanted: Any, label: str) -> Any:
     """`value` as the type `wanted`. Raises SonarrecError, which begins with `label`, if it is
     invalid."""
-    whole = _bare(wanted)[0] is int and isinstance(value, float) and value.is_integer()
+    is_integer = _bare(wanted)[0] is int and isinstance(value, float) and value.is_integer()
     try:  # 1e3 is a whole number too
-        return msgspec.convert(int(value) if whole else value, wanted)  # type: ignore[call-overload]
+        return msgspec.convert(int(value) if is_integer else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
         raise SonarrecError(f"{label} must be {described(wanted)}, not {brief(value)}") from None
 
@@ -271,7 +271,7 @@ _short.maxlevel, _short.maxdict, _short.maxstring, _short.maxother = 2, 3, 60, 6
 
 def brief(value: object) -> str:
     """A value for a message: on one line, at most about 60 characters."""
-    return _short.repr(hidden(value) if isinstance(value, str) else value)
+    return _short.repr(redact_urls(value) if isinstance(value, str) else value)
 
 
 def _key(key: str) -> str:

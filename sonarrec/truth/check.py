@@ -36,7 +36,7 @@ from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
 MOST_FRAMES = 3  # named in a note
-FEWEST = 5  # frames from which on a pattern in them is told
+FEWEST = 5  # so many frames at least for a note on a pattern in them
 
 
 # --- As a whole ----------------------------------------------------------------------------------
@@ -47,20 +47,22 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
 
     truth: as matched to the log.
     """
-    at, fan, times = table.at[table.rows_of(log.name)], log.fan, log.timestamp_ns
-    if table.key == "timestamp_ns" and times is not None and (unit := wrong_unit(times, at)):
+    keys, fan, times = table.keys[table.rows_of(log.name)], log.fan, log.timestamp_ns
+    if table.key == "timestamp_ns" and times is not None and (unit := wrong_unit(times, keys)):
         return (
-            f"{table.path}: its {table.key} ({at.min()} to {at.max()}) fit the times of {log.name} "
-            f"({times.min()} to {times.max()} ns) only if they are in {unit}; give them in ns"
+            f"{table.path}: its {table.key} ({keys.min()} to {keys.max()}) fit the times of "
+            f"{log.name} ({times.min()} to {times.max()} ns) only if they are in {unit}; give them "
+            "in ns"
         )
     if truth.rows and not len(truth.frame_index):
         near, of_frames = "on", log.frame
         if truth.tolerance_ns is not None and times is not None:
             near, of_frames = f"within {truth.tolerance_ns / 1e9:.4g} s of", times
         return (
-            f"{table.path}: none of its {truth.rows} rows ({table.key} {at.min()} to {at.max()}) "
-            f"lies {near} a processed frame of {log.name} ({number_of(len(log.frame), 'frame')}, "
-            f"{of_frames.min()} to {of_frames.max()}); is this the truth of another log?"
+            f"{table.path}: none of its {truth.rows} rows ({table.key} {keys.min()} to "
+            f"{keys.max()}) lies {near} a processed frame of {log.name} "
+            f"({number_of(len(log.frame), 'frame')}, {of_frames.min()} to "
+            f"{of_frames.max()}); is this the truth of another log?"
         )
     outside = _outside_image(log, truth)
     if fan is not None and truth.position is not None and np.sum(outside) > len(outside) / 2:
@@ -87,22 +89,22 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -
     )
 
 
-def tell_rows(told: Diagnostics, name: str, truth_rows: int, between: int) -> None:
+def report_rows(diagnostics: Diagnostics, name: str, truth_rows: int, between: int) -> None:
     """Tell if the truth has no row on a log, or rows between its frames.
 
     name: of the log. truth_rows, between: as in Truth.
     """
     if not truth_rows:
-        told.note(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
+        diagnostics.note(f"{name}: no row in the ground truth, so it is taken to hold no landmark")
     if between:
-        told.note(
+        diagnostics.note(
             f"{name}: {number_of(between, 'ground-truth row')} between frames ignored, "
             "because others are nearer in time"
         )
 
 
-def tell_other_logs(
-    told: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
+def report_other_logs(
+    diagnostics: Diagnostics, table: TruthTable, logs: Sequence[str], consequence: str
 ) -> None:
     """Tell of rows of the truth about other logs than `logs`. consequence: of that, a clause."""
     known = {composed(name) for name in logs}
@@ -111,8 +113,8 @@ def tell_other_logs(
     if others:
         names = sorted(set(others))
         listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
-        told.problem(
-            f"{table.path}: {len(others)} of {len(table.at)} rows name logs that were not "
+        diagnostics.problem(
+            f"{table.path}: {len(others)} of {len(table.keys)} rows name logs that were not "
             f"given ({listed}); {consequence}"
         )
 
@@ -144,8 +146,8 @@ def unchecked(table: TruthTable, name: str) -> str:
     )
 
 
-def tell_fit(
-    told: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
+def report_fit(
+    diagnostics: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
 ) -> None:
     """Tell what a reader should know of the rows on one log.
 
@@ -157,14 +159,14 @@ def tell_fit(
         found = log.frame[np.unique(truth.frame_index[outside])].tolist()
         listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
         how = f"; {check} has their lines" * bool(check)
-        told.note(
+        diagnostics.note(
             f"{path}: {np.sum(outside)} of {len(outside)} positions lie outside the image of "
             f"{name}, in frame{'s' * bool(found[1:])} {listed}{how}"
         )
     frames = np.unique(truth.frame_index)
     if len(frames) >= FEWEST and np.diff(frames).min() > 1:
         first, last = log.frame[frames[[0, -1]]]
-        told.note(
+        diagnostics.note(
             f"{path}: {len(frames)} of {len(log.frame)} frames of {name}, from {first} to {last}, "
             "have a row; the others count as without a landmark, and claims there as false"
         )
@@ -206,17 +208,17 @@ def check_truth(
     """Check a gt.csv against the log it describes: one pass over the log, for its frames.
 
     max_pan_deg: by how much the sonar may turn from one frame to the next. Returns the number of
-    rows on this log, the faults in order of the lines, and what is told of the log.
+    rows on this log, the faults in order of the lines, and the faults and notes of the log.
     Raises SonarrecError if either cannot be read at all.
     """
     table = read_rows(path)
     # Results are named by the log's name, with folders in front if another log has the same name.
-    names = possible_names(log.name, find_log(log.path).place.resolve())
+    names = possible_names(log.name, find_log(log.path).location.resolve())
     row = table.rows_of(table.name_of(names))
-    if len(table.at) and table.log is not None and not len(row):
+    if len(table.keys) and table.log is not None and not len(row):
         named = ", ".join(sorted({repr(str(name)) for name in table.log}))
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
-    lines = np.fromiter(line_numbers(path), np.int64, len(table.at))
+    lines = np.fromiter(line_numbers(path), np.int64, len(table.keys))
     line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
     frame, stretch, faults = _frames(table, row, line, log)
     if unread := unread_columns(table):
@@ -256,11 +258,11 @@ def check_truth(
         faults += _overlaps(rows, radius_m)
         faults += _changes(rows, radius_m)
         faults += _jumps(rows, radius_m, max_pan_deg)
-    told = Diagnostics()
-    told.problem(*log.diagnostics.problems)
-    if others := len(table.at) - len(row):
-        told.note(f"{number_of(others, 'row')} of other logs not checked")
-    return len(row), sorted(faults, key=lambda fault: fault.line), told
+    diagnostics = Diagnostics()
+    diagnostics.problem(*log.diagnostics.problems)
+    if others := len(table.keys) - len(row):
+        diagnostics.note(f"{number_of(others, 'row')} of other logs not checked")
+    return len(row), sorted(faults, key=lambda fault: fault.line), diagnostics
 
 
 def _frames(
@@ -269,23 +271,23 @@ def _frames(
     """(the frame numbers of these rows, -1 if the log has no such frame; their stretches; the
     faults)."""
     numbers, stamps = np.array([(f.index, f.timestamp_ns) for f in log], dtype=np.int64).T
-    at, last = table.at[row], int(numbers.max())
+    keys, last = table.keys[row], int(numbers.max())
     if table.key == "frame":
-        known = np.isin(at, numbers)
-        frames = np.where(known, at, -1)
+        known = np.isin(keys, numbers)
+        frames = np.where(known, keys, -1)
     else:
-        nearest, known, kept = match_times(stamps, at)
+        nearest, known, kept = match_times(stamps, keys)
         # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
     faults = []
-    if table.key != "frame" and (unit := wrong_unit(stamps, at)):
+    if table.key != "frame" and (unit := wrong_unit(stamps, keys)):
         faults.append(Fault(line[0], "unit", f"{table.key} fits the log's times only in {unit}"))
     for n in np.flatnonzero(~known):
-        text = f"frame {at[n]} is not in the log, which has 0 to {last}"
+        text = f"frame {keys[n]} is not in the log, which has 0 to {last}"
         if table.key != "frame":
-            text = f"no frame of the log is near {table.key} {at[n]}"
-        elif 0 <= at[n] <= last:
-            text = f"frame {at[n]} of the log cannot be read"
+            text = f"no frame of the log is near {table.key} {keys[n]}"
+        elif 0 <= keys[n] <= last:
+            text = f"frame {keys[n]} of the log cannot be read"
         faults.append(Fault(line[n], "frame", text))
     return frames, stretch_numbers(numbers, stamps)[np.searchsorted(numbers, frames)], faults
 
@@ -317,9 +319,9 @@ def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
     for group in _by_frame(rows).values():
         for a, b in combinations(group, 2):
             distance = dist(a.floor, b.floor)
-            # The same ID in the same position is a repeated row, which is told already.
+            # The same ID in the same position is a repeated row, which is another fault.
             if distance < radius_m and (distance or a.landmark != b.landmark):
-                text = f"lies on the landmark of line {a.line}, {distance:.2f} m away on the floor"
+                text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
                 yield Fault(b.line, "overlap", text)
 
 

@@ -20,7 +20,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.tables import composed, natural_order
+from sonarrec.tables import composed, natural_order, something_else
 from sonarrec.tables.read import ID_IN_LABELS
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import HEADER, write_truth
@@ -72,7 +72,8 @@ def convert(
     first_frame: int = 0,
     log: Log | None = None,
 ) -> tuple[dict[int, int], Diagnostics]:
-    """Write the annotations in a COCO document as `out`, a new gt.csv; (rows per ID, what is told).
+    """Write the annotations in a COCO document as `out`, a new gt.csv; (rows per ID, faults and
+    notes).
 
     The centre of an object is that of its only labelled keypoint, else of its polygon, else of its
     box. labels: the ID for labels that do not show it themselves; None leaves a label out.
@@ -82,12 +83,17 @@ def convert(
     UsageError if `labels` are invalid.
     """
     try:
-        coco = msgspec.json.decode(source.read_bytes(), type=_Coco)
+        text = source.read_bytes()
+        coco = msgspec.json.decode(text, type=_Coco)
     except OSError as error:
         raise SonarrecError(f"{source}: cannot be read ({error.strerror})") from None
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise SonarrecError(f"{source}: not COCO JSON ({error}); export it as COCO") from None
-    told = Diagnostics()
+        what = something_else(text[:32]) or f"not COCO JSON ({error})"
+        raise SonarrecError(
+            f"{source}: {what}. This command reads COCO JSON; a CSV with the columns of gt.csv "
+            "needs no conversion (sonarrec help truth)"
+        ) from None
+    diagnostics = Diagnostics()
     images = {image.id: image for image in coco.images}
     names = {one.id: one.name for one in coco.categories}
     found, without = [], []  # (image, label, x, y, visible); the annotations that have no centre
@@ -101,10 +107,12 @@ def convert(
             found.append((images[one.image_id], names[one.category_id], *centre))
     if without:
         more = f"such as annotations[{without[0]}]"
-        told.problem(
+        diagnostics.problem(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
-    ids = _landmark_ids(Counter(label for _, label, *_ in found), labels or {}, landmarks, told)
+    ids = _landmark_ids(
+        Counter(label for _, label, *_ in found), labels or {}, landmarks, diagnostics
+    )
     twice = [name for name, n in Counter(image.file_name for image in coco.images).items() if n > 1]
     if twice:
         raise SonarrecError(
@@ -118,10 +126,12 @@ def convert(
             "--log, another --first-frame, or annotations of one log only"
         )
     if missing := {image.file_name for image, *_ in found} - set(frames):
-        told.problem(f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}")
+        diagnostics.problem(
+            f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}"
+        )
     used = [one for one in found if one[1] in ids and one[0].file_name in frames]
-    if told.problems and not used:
-        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(told.problems)}")
+    if diagnostics.problems and not used:
+        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
     x, y, visible = np.array([one[2:] for one in used], float).reshape(-1, 3).T
     if log is not None and used:
         sizes = {(image.width, image.height) for image, *_ in used}
@@ -132,9 +142,9 @@ def convert(
         for n, (image, label, *_) in enumerate(used)
     }
     write_truth(out, HEADER.split(","), sorted(rows))
-    told.note(rule)
+    diagnostics.note(rule)
     counts = Counter(row[1] for row in rows)
-    return {i: counts[i] for i in landmarks.ids if counts[i]}, told
+    return {i: counts[i] for i in landmarks.ids if counts[i]}, diagnostics
 
 
 def _centre(one: _Annotation) -> tuple[float, float, float] | None:
@@ -163,9 +173,12 @@ def _centre(one: _Annotation) -> tuple[float, float, float] | None:
 
 
 def _landmark_ids(
-    labels: Counter[str], given: Mapping[str, int | None], landmarks: LandmarkSet, told: Diagnostics
+    labels: Counter[str],
+    given: Mapping[str, int | None],
+    landmarks: LandmarkSet,
+    diagnostics: Diagnostics,
 ) -> dict[str, int]:
-    """The ID per label that has one; labels that should have one are told."""
+    """The ID per label that has one; labels that should have one are reported."""
     known = ", ".join(map(str, landmarks.ids))
     for label, landmark in given.items():
         if label not in labels:
@@ -178,7 +191,7 @@ def _landmark_ids(
         if plain is not None and int(plain[1]) in landmarks.ids:
             ids[label] = int(plain[1])
         else:
-            told.problem(
+            diagnostics.problem(
                 f"label {label!r} ({number_of(labels[label], 'shape')}) is no ID of "
                 f"{landmarks.name!r} ({known}): give --map '{label}=ID', or '{label}=none'"
             )

@@ -89,13 +89,13 @@ def match_truth(
         raise SonarrecError(
             f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
             f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
-            f"{log.name}; name the right one with --landmarks, or put it beside the log as "
+            f"{log.name}; name the right one with --landmarks, or put it next to the log as "
             "landmarks.toml"
         )
-    at, tolerance_ns, position = table.at[mine], None, None
+    keys, tolerance_ns, position = table.keys[mine], None, None
     if table.key == "frame":
-        index = np.minimum(np.searchsorted(log.frame, at), len(log.frame) - 1)
-        matched = kept = log.frame[index] == at
+        index = np.minimum(np.searchsorted(log.frame, keys), len(log.frame) - 1)
+        matched = kept = log.frame[index] == keys
     elif log.timestamp_ns is None:
         raise SonarrecError(
             f"{table.path} names frames by timestamp_ns, but the frames.csv of {log.name} has "
@@ -103,7 +103,7 @@ def match_truth(
         )
     else:
         tolerance_ns = _tolerance_ns(log.timestamp_ns, tolerance_s)
-        index, matched, kept = match_times(log.timestamp_ns, at, tolerance_s)
+        index, matched, kept = match_times(log.timestamp_ns, keys, tolerance_s)
     if table.position is not None:
         position = plane_position(table.position, log.fan)
     row = mine[kept]
@@ -117,7 +117,7 @@ def match_truth(
         position=None if position is None else position[row],
         orientation=None if table.orientation is None else table.orientation[row],
         row=row,
-        rows=len(at),
+        rows=len(keys),
         unprocessed=int(np.count_nonzero(~matched)),
         between=int(np.count_nonzero(matched & ~kept)),
         tolerance_ns=tolerance_ns,
@@ -133,27 +133,27 @@ def _tolerance_ns(timestamp_ns: IntArray, tolerance_s: float | None) -> float:
 
 
 def match_times(
-    timestamp_ns: IntArray, at: IntArray, tolerance_s: float | None = None
+    timestamp_ns: IntArray, wanted_ns: IntArray, tolerance_s: float | None = None
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Per time in `at`: (index of the nearest frame; whether it is within the tolerance; whether
-    it is also the time nearest to that frame).
+    """Per time in `wanted_ns`: (index of the nearest frame; whether it is within the tolerance;
+    whether it is also the time nearest to that frame).
 
-    timestamp_ns: (F,) of the frames. at: (R,) ns. tolerance_s: default half the median time
+    timestamp_ns: (F,) of the frames. wanted_ns: (R,). tolerance_s: default half the median time
     between frames.
     """
     order = np.argsort(timestamp_ns, kind="stable")
     times = timestamp_ns[order]
-    after = np.minimum(np.searchsorted(times, at), len(times) - 1)
+    after = np.minimum(np.searchsorted(times, wanted_ns), len(times) - 1)
     before = np.maximum(after - 1, 0)
-    near = np.where(times[after] - at < at - times[before], after, before)
-    offset = np.abs(times[near] - at)
+    near = np.where(times[after] - wanted_ns < wanted_ns - times[before], after, before)
+    offset = np.abs(times[near] - wanted_ns)
     matched = offset <= _tolerance_ns(timestamp_ns, tolerance_s)
     # Per frame the nearest time, the earlier of two equally near; all rows of that time stay.
-    best = np.lexsort((at, offset, near))
+    best = np.lexsort((wanted_ns, offset, near))
     frames, first = np.unique(near[best], return_index=True)
     stamp = np.zeros(len(times), dtype=np.int64)
-    stamp[frames] = at[best[first]]
-    return order[near], matched, matched & (at == stamp[near])
+    stamp[frames] = wanted_ns[best[first]]
+    return order[near], matched, matched & (wanted_ns == stamp[near])
 
 
 UNITS = {"us": 10**3, "ms": 10**6, "s": 10**9}
@@ -162,7 +162,7 @@ FEWEST_FRAMES = 5
 CLEARLY_MORE = 4  # times as many frames have a row if times are read in another unit
 
 
-def wrong_unit(timestamp_ns: IntArray, at: IntArray) -> str:
+def wrong_unit(timestamp_ns: IntArray, times: IntArray) -> str:
     """The unit in which times of truth, (R,), clearly are if they are not in ns; else empty.
 
     timestamp_ns: (F,) of the frames. In the right unit the rows spread over many frames; in ns all
@@ -171,13 +171,13 @@ def wrong_unit(timestamp_ns: IntArray, at: IntArray) -> str:
 
     def frames(factor: int) -> int:
         """How many frames have a row."""
-        sized = at[np.abs(at) < 2**62 // factor] * factor
+        sized = times[np.abs(times) < 2**62 // factor] * factor
         if not len(sized):
             return 0
         nearest, matched, _ = match_times(timestamp_ns, sized)
         return len(np.unique(nearest[matched]))
 
-    if len(timestamp_ns) < 2 or not len(at):
+    if len(timestamp_ns) < 2 or not len(times):
         return ""
     found = {unit: frames(factor) for unit, factor in UNITS.items()}
     best = max(found, key=lambda unit: found[unit])

@@ -17,7 +17,7 @@ from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, 
 from sonarrec.records import follows
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import log_of
-from sonarrec.results.read import LogResults, find_logs, not_whole, read_log
+from sonarrec.results.read import LogResults, find_logs, read_log, why_incomplete
 from sonarrec.results.sightings import check_follows
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
@@ -25,7 +25,7 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 HEADER = ("frame", "landmark", "x_px", "y_px", "visible", "track", "source")
 LEAST_DECLARED = 5  # frames in which a track must have declared its ID
 LEAST_AGREEMENT = 0.9  # share of the declarations of a track that must name the same ID
-Taken = defaultdict[tuple[int, int], list[list[float]]]
+Occupied = defaultdict[tuple[int, int], list[list[float]]]
 """Floor positions proposed so far, by frame and ID."""
 
 
@@ -79,7 +79,7 @@ def propose(
                     raise unread[0] from None
                 diagnostics.problem(f"{error}; {log_of(folder)} is not used")
                 continue
-            diagnostics.problem(*not_whole(log, "used"))
+            diagnostics.problem(*why_incomplete(log, "used"))
             of_log: list[tuple[object, ...]] = []
             of_tracks = proposals(folder, log, method, min_score=min_score, max_gap=max_gap)
             for track, proposed in of_tracks:
@@ -99,16 +99,16 @@ def proposals(
     *,
     min_score: float = 0.9,
     max_gap: int = 8,
-    taken: Taken | None = None,
+    occupied: Occupied | None = None,
 ) -> Iterator[tuple[ProposedTrack, list[tuple[object, ...]]]]:
     """Each track that declared an ID, and its rows (HEADER), also of a track that is left out.
 
-    method: None: the leading one. taken: floor positions that have a row already. Raises
+    method: None: the leading one. occupied: floor positions that have a row already. Raises
     SonarrecError if the results cannot be used.
     """
-    taken = defaultdict(list) if taken is None else taken
+    occupied = defaultdict(list) if occupied is None else occupied
     for ids, estimates in _tracks(folder, log, method or leading(log.methods)):
-        yield _propose(log, ids, estimates, min_score, max_gap, taken)
+        yield _propose(log, ids, estimates, min_score, max_gap, occupied)
 
 
 def _tracks(folder: Path, log: LogResults, method: str) -> list[tuple[dict[int, int], IntArray]]:
@@ -118,7 +118,7 @@ def _tracks(folder: Path, log: LogResults, method: str) -> list[tuple[dict[int, 
     path = folder / "estimates.csv"
     if log.fan is None:
         raise SonarrecError(
-            f"{folder / 'run.toml'}: does not tell the sonar's geometry, which gives pixels "
+            f"{folder / 'run.toml'}: does not state the sonar's geometry, which gives pixels "
             "and visible; run `sonarrec run` again"
         )
     if method not in log.methods or not follows(method):
@@ -148,7 +148,7 @@ def _propose(
     estimates: IntArray,
     min_score: float,
     max_gap: int,
-    taken: Taken,
+    occupied: Occupied,
 ) -> tuple[ProposedTrack, list[tuple[object, ...]]]:
     """One of `_tracks`, and its rows of gt.csv.
 
@@ -179,7 +179,7 @@ def _propose(
     floor = plane_from_polar(ground_range(log.fan, range_m), bearing_deg).tolist()
     source = np.where(np.isin(index, seen), TRACKED, FILLED_IN).tolist()
     for n, frame in enumerate(log.frame[index].tolist()):
-        others = taken[frame, landmark]
+        others = occupied[frame, landmark]
         doubled = any(dist(floor[n], other) < log.landmarks.radius_m for other in others)
         if not doubled and visible[n] > 0:
             if not left_out:

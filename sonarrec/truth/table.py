@@ -25,8 +25,10 @@ from sonarrec.tables.read import (
     read_table,
 )
 
-TRUTH_FILE = "gt.csv"  # beside a log, as such or as NAME.gt.csv: its truth
+TRUTH_FILE = "gt.csv"  # next to a log, as such or as NAME.gt.csv: its truth
 HEADER = "frame,landmark,x_px,y_px,visible"
+_SECONDS = ("time", "time_s", "t", "t_s", "timestamp", "timestamp_s", "stamp", "seconds", "sec")
+"""Names, in lower case, that other programs give to times."""
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
 _KINDS: dict[str, Kind] = {
@@ -45,17 +47,17 @@ _KINDS: dict[str, Kind] = {
 class TruthTable:
     """gt.csv as read: R rows.
 
-    key: the column that names the frame, "frame" or "timestamp_ns"; at: (R,) its values. landmark:
-    (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,) share of
-    the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it. orientation: (R,)
-    deg, NaN where blank. All three are None without their columns. proposed: (R,) whether
-    `truth propose` wrote the row, by the column `source`. unread: other columns, and the one that
-    each may stand for, which the table lacks; empty: none.
+    key: the column that names the frame, "frame" or "timestamp_ns". keys: (R,) its values.
+    landmark: (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,)
+    share of the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it.
+    orientation: (R,) deg, NaN where blank. All three are None without their columns. proposed: (R,)
+    whether `truth propose` wrote the row, by the column `source`. unread: other columns, and the
+    one that each may stand for, which the table lacks; empty: none.
     """
 
     path: Path
     key: str
-    at: IntArray
+    keys: IntArray
     landmark: IntArray
     visible: FloatArray
     log: Any
@@ -109,10 +111,11 @@ def read_rows(path: Path) -> TruthTable:
     table = read_table(path, _KINDS, ("landmark",), HEADER, others)
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:
-        raise SonarrecError(
-            f"{path}: wrong columns, neither frame nor timestamp_ns; "
-            f"expected a header such as {HEADER}"
-        )
+        seconds = next((name for name in others if name.lower() in _SECONDS), None)
+        how = f"expected a header such as {HEADER}"
+        if seconds is not None:
+            how = f"multiply {seconds} by 1e9 if it is in seconds, and call it timestamp_ns"
+        raise SonarrecError(f"{path}: wrong columns, neither frame nor timestamp_ns; {how}")
     rows, position = len(table["landmark"]), position_pair(path, table)
     # Of two ways to say the same, one suffices.
     spare = {*table, "frame", "timestamp_ns", *(POSITION_KINDS if position else ())}
@@ -120,7 +123,7 @@ def read_rows(path: Path) -> TruthTable:
     return TruthTable(
         path=path,
         key=key,
-        at=table[key],
+        keys=table[key],
         landmark=table["landmark"],
         visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
@@ -146,8 +149,8 @@ def repeated_rows(table: TruthTable) -> IntArray:
     """
     if table.position is None:
         return np.empty((0, 2), dtype=np.int64)
-    log = np.zeros(len(table.at)) if table.log is None else table.log.codes
-    cells = (table.position[2], table.position[1], table.landmark, table.at, log)
+    log = np.zeros(len(table.keys)) if table.log is None else table.log.codes
+    cells = (table.position[2], table.position[1], table.landmark, table.keys, log)
     order = np.lexsort(cells)
     same = np.all([cell[order][1:] == cell[order][:-1] for cell in cells], axis=0)
     pairs = np.sort(np.column_stack([order[:-1][same], order[1:][same]]), axis=1)

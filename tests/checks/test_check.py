@@ -157,7 +157,7 @@ def test_the_record_of_another_log_is_not_compared(repository: Path) -> None:
     shutil.copy(SAMPLES / "faint" / "000050.png", repository / "faint" / "000000.png")
     told = sonarrec("check", code=1)
     assert "results of different logs" in told.stderr
-    assert told.stderr.endswith("--update` records the results anew\n")
+    assert told.stderr.endswith("--update` records new results\n")
     assert "on record" in sonarrec("check", "--update").stdout
     sonarrec("check", "-q")
 

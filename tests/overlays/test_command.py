@@ -56,7 +56,7 @@ def test_the_command(work: Path) -> None:
 
 
 def test_a_list_of_frames(work: Path) -> None:
-    sonarrec("overlay", "log", "-o", "some", "--frames", "0:2,3", "-q")
+    sonarrec("overlay", "log", "-o", "some", "--frames", "0:2, 3", "-q")
     names = [p.name for p in sorted((work / "some").iterdir())]
     assert names == ["000000.png", "000001.png", "000003.png"]
     told = sonarrec("overlay", "log", "-o", "one", "--frames", "2,40", code=3)
@@ -81,6 +81,8 @@ def test_results_find_their_log(work: Path) -> None:
     assert [p.name for p in drawn[0]] == [p.name for p in drawn[3]]
     refused = sonarrec("overlay", results, "sonarrec_out/copy", "-o", "x", code=2)
     assert "both hold results" in refused.stderr
+    exchanged = sonarrec("overlay", results, "log", "-o", "x", code=2)
+    assert "name the log first" in exchanged.stderr
 
 
 def test_the_longest_mistakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,6 +145,7 @@ def test_a_run_that_was_cut_short(work: Path) -> None:
         ("-o log", 2, "log/000000.png: it would become part of the recording"),
         ("-o o.mcap --frames 3:3", 2, "no frame from 3 up to, not including, 3"),
         ("-o o.mcap --frames 9:", 2, "no frame lies in --frames 9:"),
+        ("-o o.mcap --frames 2,all", 2, "frame numbers N and spans A:B"),
         ("-o o.mcap --method x", 2, "no method 'x'; there is framework"),
         ("elsewhere -o o.mcap", 2, "elsewhere: no results of log here"),
         ("-o o.mcap --ground-truth paper.csv", 1, "paper.csv: no positions"),

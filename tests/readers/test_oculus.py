@@ -169,7 +169,7 @@ def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) ->
     found, problems = read(written(tmp_path / "a.raw", data))
     np.testing.assert_array_equal([frame.image for frame in found], whole[:3])
     assert problems == [
-        "a.raw: 8000 bytes in 2 places belong to no message; damaged, so pings may be missing "
+        "a.raw: 8000 bytes in 2 gaps belong to no message; damaged, so pings may be missing "
         "there, or wrong before them"
     ]
 

@@ -27,13 +27,13 @@ def doubts(log: Path, **stated: float | str) -> list[str]:
     plausibility = Plausibility()
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
         for frame in islice(opened, FRAMES):
-            plausibility.look(frame)
+            plausibility.inspect(frame)
         return plausibility.contradictions(opened.sonar)
 
 
 def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
     plausibility = Plausibility()
-    plausibility.look(Frame(0, 0, image, fan))
+    plausibility.inspect(Frame(0, 0, image, fan))
     return plausibility.contradictions(Sonar())
 
 
@@ -74,7 +74,7 @@ def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: 
 
 def test_an_upside_down_fan_is_told(tmp_path: Path) -> None:
     (line,) = doubts(upside_down(SAMPLE / "pan", tmp_path / "down"))
-    assert "none if it is turned upside down" in line
+    assert "none once it is upside down" in line
 
 
 def test_the_share_outside_is_the_share_of_pixels() -> None:

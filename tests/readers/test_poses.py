@@ -98,9 +98,9 @@ def test_times_in_iso_8601_are_those_of_a_clock(tmp_path):
     cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
     text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
     table = read_poses(rows(tmp_path / "o.csv", text))
-    assert table.at.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
+    assert table.time_ns.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
     days = rows(tmp_path / "o.csv", "timestamp,yaw\n2024-05-01T12:00Z,0\n2024-05-02T12:00Z,1\n")
-    assert np.diff(read_poses(days).at).tolist() == [86_400 * 10**9]
+    assert np.diff(read_poses(days).time_ns).tolist() == [86_400 * 10**9]
 
 
 def test_without_x_and_y_the_sonar_only_turns(tmp_path):
@@ -202,7 +202,7 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
             "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2300-05-01T12:00:00Z,2\n",
             "timestamp must be seconds or nanoseconds; these are neither",
         ),
-        ("timestamp,yaw\n0,1\n100,1\n200,1\n", "rows 100 apart are neither"),
+        ("timestamp,yaw\n0,1\n100,1\n200,1\n", "steps of 100 are neither"),
         (
             "timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n",
             "(milliseconds or microseconds?)",
@@ -283,7 +283,7 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     table = read_topic(log, "/odom", "log")
     np.testing.assert_allclose(np.diff(table.pose[:, 0]), np.diff(yaw), atol=1e-9)
     assert table.pose[0, 1:].tolist() == [-2.0, 1.0]
-    assert read_topic(log, "/odom", "header").at.tolist() == [n * 10**9 + 7 for n in range(16)]
+    assert read_topic(log, "/odom", "header").time_ns.tolist() == [n * 10**9 + 7 for n in range(16)]
     by_table = ("--odometry", pan_table(Path("odometry.csv")), "--out", "by_table")
     sonarrec("run", log, "--topic", "/sonar", *by_table)
     places = [
@@ -346,7 +346,7 @@ def test_a_pose_that_cannot_be_used_is_a_line_and_a_gap(pings):
     schema = "nav_msgs/msg/Odometry"
     log = pose_log(Path("dive.mcap"), pings, schema, True, [0.0] * 16, None, changed)
     table = read_topic(log, "/odom", "log")
-    assert len(table.at) == 13
+    assert len(table.time_ns) == 13
     assert [line.partition(":")[0] for line in table.problems] == [
         f"message {n} of /odom" for n in (8, 14, 15)
     ]

@@ -11,7 +11,7 @@ import pytest
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.presets.hindsight import Hindsight
-from sonarrec.recogniser.presets.second_look import SecondLook
+from sonarrec.recogniser.presets.second_view import SecondView
 from sonarrec.records import Estimate, FrameResult
 
 BASIN = load_landmarks("basin")
@@ -72,7 +72,7 @@ class BlurredLook:
 @pytest.mark.parametrize("declaring", [5, 12])
 def test_a_look_takes_back_only_what_few_frames_declared(declaring: int) -> None:
     """The frames that waver follow what most of the pass declared."""
-    hindsight = Hindsight("m", preset("offline"), BASIN, cast(SecondLook, BlurredLook()))
+    hindsight = Hindsight("m", preset("offline"), BASIN, cast(SecondView, BlurredLook()))
     frames = [result(i, 1, UNSURE if i < 16 - declaring else SURE) for i in range(16)]
     for frame in frames:
         hindsight.learn(frame)

@@ -220,5 +220,5 @@ def test_the_line_of_sight_turns_over_the_floor_as_the_sonar_is_carried(
     before = math.degrees(math.atan2(ahead_m, right_m))
     after = math.degrees(math.atan2(ahead_m - carried[1], right_m - carried[0]))
     for motion, expected in ((Motion(pan_deg, *carried), after - before), (Motion(pan_deg), 0.0)):
-        turned = plane.sight_turned(place, plane.moved(place, motion), motion)
+        turned = plane.sight_rotation(place, plane.moved(place, motion), motion)
         assert turned[0] == pytest.approx(expected, abs=1e-6)

@@ -67,9 +67,9 @@ def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -
     follow = new_filter(settings, seed)
     follow.step(selection(weight_map, tuple(places[0])))
     # No other way in: the particles are put where their weights are known.
-    follow._particles.places = places[None].astype(np.float32)
+    follow._particles.positions = places[None].astype(np.float32)
     follow.step(selection(weight_map))
-    kept, counts = np.unique(follow._particles.places[0], axis=0, return_counts=True)
+    kept, counts = np.unique(follow._particles.positions[0], axis=0, return_counts=True)
     table = {tuple(p): int(c) for p, c in zip(kept, counts, strict=True)}
     return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
 
@@ -102,10 +102,10 @@ def test_a_particle_walks_randn_sigma_in_each_frame():
     follow = new_filter()
     even = np.ones(PLANE.shape, np.float32)
     follow.step(selection(even, START))
-    before = follow._particles.places.copy()
+    before = follow._particles.positions.copy()
     follow.step(selection(even))
     np.testing.assert_allclose(
-        (follow._particles.places - before).std(axis=1), PAPER.sigma_px, rtol=0.1
+        (follow._particles.positions - before).std(axis=1), PAPER.sigma_px, rtol=0.1
     )
 
 
@@ -151,7 +151,7 @@ def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
     for p_hit, of_all in (("map", 1.0), ("normalised", hits.sum())):
         weight = 0.8 * hits / of_all + 0.2 / 4
         group = Particles(dataclasses.replace(still, p_hit=p_hit), np.random.default_rng(0))
-        group.places = places
+        group.positions = places
         found = group.weigh(score)
         np.testing.assert_allclose(found[0], weight / weight.sum(), rtol=1e-5)
 

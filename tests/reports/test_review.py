@@ -353,6 +353,7 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     assert page.passes == expected
     rows = read_rows(page.save())
     assert "No pass is open" in page.text("say")
+    assert "same spot" not in page.text("left")
     made = {
         (int(r["frame"]), int(r["landmark"])): (float(r["x_px"]), float(r["y_px"])) for r in rows
     }
@@ -377,6 +378,16 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
         for truth in (saved, GT)
     ]
     assert printed[0].replace(str(saved), str(GT)) == printed[1]
+    # Another ID on a landmark that is accepted: the page says so until that is taken back.
+    page.press("n", "4")
+    page.go(20)
+    page.pointer(*one[20])
+    page.press(ENTER)
+    page.save()
+    for part in ("left", "say"):
+        assert "ID.1 and ID.4 are accepted on the same spot in frame 20" in page.text(part)
+    page.press("u")
+    assert "same spot" not in page.text("left")
 
 
 GEOMETRY = """

@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.errors import SonarrecError, hidden, is_url
+from sonarrec.errors import SonarrecError, is_url, redact_urls
 from sonarrec.runs import remote
 from tests.support.command import sonarrec
 from tests.support.logs import cdr_image, frames, mcap_file
@@ -143,7 +143,7 @@ def test_logs_on_a_web_server_without_a_secret_told(tmp_path: Path) -> None:
     ],
 )
 def test_no_output_has_a_secret(text: str, shown: str) -> None:
-    assert hidden(text) == shown
+    assert redact_urls(text) == shown
 
 
 @pytest.mark.parametrize(

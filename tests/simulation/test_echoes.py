@@ -60,7 +60,7 @@ def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
         if not frame.distractors:
             continue
         row = frame.distractors[0]
-        now = Shoal(scene, *AREA).at(0.0)
+        now = Shoal(scene, *AREA).positions(0.0)
         floor_m = row.range_m * 0.68 / (0.68 - float(now.up_m[0]))
         if abs(row.bearing_deg) < 10 and floor_m < 3.4:
             image = power(frame.image, scene)

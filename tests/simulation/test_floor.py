@@ -90,7 +90,7 @@ def test_what_is_looked_at_is_what_is_seen_there() -> None:
         )
         plane = Plane(rng.uniform(0, 10), rng.uniform(-180, 180))
         pose = Pose(pan, height, x, y, pitch, roll)
-        x_m, y_m, _, sine = plane.look(pose, range_m, bearing + pan)
+        x_m, y_m, _, sine = plane.view(pose, range_m, bearing + pan)
         slant, seen = plane.seen(pose, x_m.astype(float), y_m.astype(float))
         there = sine > 0
         np.testing.assert_allclose(slant[there], np.tile(range_m[:, None], 7)[there], atol=2e-5)

@@ -146,7 +146,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Row:
-    id: toml.Whole
+    id: toml.Integer
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def test_bounds_hold_for_every_number(value: float) -> None:
         (toml.NotNegative, 0 <= value <= most),
         (toml.Share, 0 <= value <= 1),
         (toml.Count, 0 <= value < 2**63 and int(value) == value),
-        (toml.Whole, -(2**63) <= value < 2**63 and int(value) == value),
+        (toml.Integer, -(2**63) <= value < 2**63 and int(value) == value),
     ):
         try:
             found = toml.checked(value, wanted, "x")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -274,3 +275,13 @@ def test_videos_that_share_the_names_of_their_images(with_log: bool, tmp_path: P
     source = coco(tmp_path, annotations, [*names, *names])
     more = ("--log", image_folder(tmp_path / "log", frames(3))) if with_log else ()
     assert "frame0.png" in failure(source, *more)
+
+
+def test_a_sheet_or_a_table_is_told_what_it_needs(tmp_path: Path) -> None:
+    sheet, table = tmp_path / "labels.xlsx", tmp_path / "labels.csv"
+    with zipfile.ZipFile(sheet, "w") as file:
+        file.writestr("[Content_Types].xml", "<Types/>")
+    table.write_text("frame,landmark,x_px,y_px\n0,1,5,6\n")
+    assert "save it as CSV" in failure(sheet)
+    for path in (sheet, table):
+        assert "needs no conversion" in failure(path)

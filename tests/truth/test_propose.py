@@ -185,7 +185,7 @@ def test_faults(tmp_path: Path) -> None:
     assert "it has no tracks" in run(folder, "--out", out, "--method", "smi", code=2).stderr
     assert "no such results folder" in run(tmp_path / "gone", "--out", out, code=2).stderr
     (folder / "run.toml").unlink()
-    assert "does not tell the sonar's geometry" in run(folder, "--out", out, code=1).stderr
+    assert "does not state the sonar's geometry" in run(folder, "--out", out, code=1).stderr
     assert not out.exists()
 
 

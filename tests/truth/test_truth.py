@@ -14,7 +14,7 @@ from click.testing import Result
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.check import tell_fit
+from sonarrec.truth.check import report_fit
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
@@ -105,6 +105,8 @@ def test_time_matching_against_brute_force(case: Path) -> None:
     [
         ("image,id\n0,1\n", "expected a header such as frame,landmark,x_px,y_px,visible"),
         ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
+        ("time_s,landmark\n1.5,1\n", "multiply time_s by 1e9"),
+        ("timestamp_ns,landmark\n1.5,1\n", "whole number of ns (1 s is 1000000000), not '1.5'"),
         ("frame,landmark\n0,1\n\none,1\n", "line 4: frame must be a whole number, not 'one'"),
         (
             "frame,landmark\n0,north\n",
@@ -274,5 +276,5 @@ def test_a_truth_of_few_frames_is_doubted(
     )
     table = read_truth(path)
     told = Diagnostics()
-    tell_fit(told, table, log, match_truth(table, log))
+    report_fit(told, table, log, match_truth(table, log))
     assert [said in note for note in told.notes] == [True] if said else not told.notes

@@ -85,26 +85,26 @@ class BagFolder(Recording):
         else:
             missing = [p.name for p in listed if p not in stored]
             unlisted = [p.name for p in stored if p not in listed]
-        self._tell(missing, "missing; frames after it have lower numbers than they had")
-        self._tell(unlisted, f"not listed in {METADATA}, and not read")
+        self._report_parts(missing, "missing; frames after it have lower numbers than they had")
+        self._report_parts(unlisted, f"not listed in {METADATA}, and not read")
         # Each part, and from its channel numbers to those of the bag.
         self._parts: dict[Path, dict[int, int]] = {}
         for part in listed or stored:
             if part in stored:
-                self._look_into(part)
+                self._register(part)
         if not any(self._parts.values()):
             faults = diagnostics.faults
             reason = f" ({faults[0]})" if faults else ""
             raise SonarrecError(f"{path}: no part of this bag can be read{reason}")
 
-    def _tell(self, names: list[str], what: str) -> None:
+    def _report_parts(self, names: list[str], what: str) -> None:
         """Tell what is wrong with some parts."""
         if names:
-            self.whole = False
+            self.complete = False
             few = ", ".join(names[:MOST_NAMED]) + ", ..." * (len(names) > MOST_NAMED)
             self.fault(f"{number_of(len(names), 'part')} of the bag {what}: {few}")
 
-    def _look_into(self, part: Path) -> None:
+    def _register(self, part: Path) -> None:
         """Open a part and register its channels, counts, times and faults."""
         known = self.diagnostics.faults
         try:
@@ -112,7 +112,7 @@ class BagFolder(Recording):
         except SonarrecError as error:
             text = str(error).removeprefix(f"{printable(part)}: ").partition("\n")[0]
             self.diagnostics.fault(text, part.name)
-            self.whole = False
+            self.complete = False
             return
         log.close()
         self._parts[part] = numbers = {n: self._number_of(c) for n, c in log.channels.items()}
@@ -120,7 +120,7 @@ class BagFolder(Recording):
             self.counts[number] += log.counts.get(own, 0)
         self.chunks.update(log.chunks)
         self.library = self.library or log.library
-        self.whole &= log.whole and self.diagnostics.faults == known
+        self.complete &= log.complete and self.diagnostics.faults == known
         if log.span is not None:
             first, last = self.span or log.span
             self.span = min(first, log.span[0]), max(last, log.span[1])

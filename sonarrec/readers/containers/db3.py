@@ -80,7 +80,7 @@ class Db3Recording(Recording):
                 self._topics.append(topic)
                 self._times.append(time if isinstance(time, int) and time >= 0 else 0)
         except sqlite3.Error as error:
-            self.whole = False
+            self.complete = False
             self.fault(f"cut short or damaged ({error}); what is whole before that is read")
         if unlisted:
             self.fault(

@@ -263,10 +263,10 @@ class Didson:
         of the computer's time is not known."""
         year, month, day, hour, minute, second, hundredth = (int(frame[n]) for n in _CLOCK)
         try:
-            whole = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
+            moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
         except (ValueError, OverflowError):
             return None, None
-        stamp = int(whole.timestamp()) * 10**9 + min(hundredth, 99) * 10**7
+        stamp = int(moment.timestamp()) * 10**9 + min(hundredth, 99) * 10**7
         # A clock that was never set, or counts years from 2000, is not used.
         return (stamp if 0 <= stamp < 2**63 else None), None
 

@@ -102,9 +102,9 @@ def _begins(head: bytes) -> bool:
 def decoded(record: bytes) -> tuple[Decoded, Header]:
     """The ping of a record, and its header. Raises UnusableError if it cannot be used."""
     fields, beams, bins = _head(record)
-    at, size = fields.dtype.itemsize, int(fields["size"])
-    samples = _samples(record[at : at + size], fields, beams * bins)
-    table, tail = np.frombuffer(record, "<f8", beams, at + size), _tail(record)
+    start, size = fields.dtype.itemsize, int(fields["size"])
+    samples = _samples(record[start : start + size], fields, beams * bins)
+    table, tail = np.frombuffer(record, "<f8", beams, start + size), _tail(record)
     speed, bins_hz = float(tail["sound_speed"]), int(tail["bins_hz"])
     if not 1000 <= speed <= 2000:
         raise UnusableError(f"a speed of sound of {speed:g} m/s")
@@ -151,8 +151,8 @@ def _since_1970(time_s: float) -> int | None:
     """ns since 1970, from seconds since 1980; None if impossible."""
     if not 0 < time_s < 2**32:
         return None
-    fraction, whole = math.modf(time_s)
-    return (int(whole) + _EPOCH_S) * 10**9 + round(fraction * 1e9)
+    fraction, seconds = math.modf(time_s)
+    return (int(seconds) + _EPOCH_S) * 10**9 + round(fraction * 1e9)
 
 
 _PIECE = 2**20  # bytes
@@ -170,14 +170,14 @@ def _pieces(path: Path) -> Iterator[bytes]:
     try:
         found = _find_dat(file, path, 0)
         while found is not None:  # more than one if files were joined
-            method, at = found
+            method, position = found
             inflater = zlib.decompressobj(-zlib.MAX_WBITS)
-            while not inflater.eof and (piece := file.at(at, _PIECE)):
-                at += len(piece)
+            while not inflater.eof and (piece := file.read(position, _PIECE)):
+                position += len(piece)
                 yield inflater.decompress(piece) if method == _DEFLATED else piece
             if method == _DEFLATED and not inflater.eof:
                 raise UnusableError("its end is missing")
-            found = _find_dat(file, path, at - len(inflater.unused_data))
+            found = _find_dat(file, path, position - len(inflater.unused_data))
     except zlib.error:
         raise UnusableError("its compressed contents are damaged") from None
     finally:
@@ -187,22 +187,22 @@ def _pieces(path: Path) -> Iterator[bytes]:
 def _find_dat(file: FileBytes, path: Path, start: int) -> tuple[int, int] | None:
     """(ZIP method of the `.dat`, where its contents begin); None if none follows. start: where to
     search from; at 0 there must be one."""
-    at = file.find(_ENTRY_MARK, start, file.size if start else 1)
-    if at is None and not start:
+    position = file.find(_ENTRY_MARK, start, file.size if start else 1)
+    if position is None and not start:
         raise SonarrecError(f"{path}: not a .glf of a Gemini, which is a ZIP")
-    while at is not None:
-        head = file.at(at, _ENTRY_BYTES)
+    while position is not None:
+        head = file.read(position, _ENTRY_BYTES)
         flags, method, name, extra = (
             int.from_bytes(head[i : i + 2], "little") for i in (6, 8, 26, 28)
         )
-        if file.at(at + _ENTRY_BYTES, name).lower().endswith(b".dat"):
+        if file.read(position + _ENTRY_BYTES, name).lower().endswith(b".dat"):
             if flags & _ENCRYPTED or method not in (_STORED, _DEFLATED):
                 raise SonarrecError(
                     f"{path}: packed or encrypted in a way that is not read (ZIP method {method}, "
                     f"flags {flags:#x}); unpack it, and pack it again as a plain ZIP"
                 )
-            return method, at + _ENTRY_BYTES + name + extra
-        at = file.find(_ENTRY_MARK, at + 1, file.size)
+            return method, position + _ENTRY_BYTES + name + extra
+        position = file.find(_ENTRY_MARK, position + 1, file.size)
     if start:
         return None
     raise SonarrecError(f"{path}: a ZIP without a .dat, which holds a Gemini's images")
@@ -235,9 +235,9 @@ def _records(data: Iterator[bytes]) -> Iterator[tuple[int, bytes | None, str | N
         if follows and not _begins(bytes(held[: _HEAD_3.itemsize])):
             yield position, None, "no record begins there; damaged"
         follows = False
-        at = held.find(_MARK, _MARK_AT)
-        drop(len(held) - _HEAD_3.itemsize + 1 if at < 0 else at - _MARK_AT)
-        if at < 0 or not fill(_HEAD_3.itemsize):
+        position = held.find(_MARK, _MARK_AT)
+        drop(len(held) - _HEAD_3.itemsize + 1 if position < 0 else position - _MARK_AT)
+        if position < 0 or not fill(_HEAD_3.itemsize):
             continue
         length = _record_length(bytes(held[: _HEAD_3.itemsize]))
         if length is None:

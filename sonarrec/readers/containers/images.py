@@ -95,7 +95,7 @@ def _doubt(ordered: Sequence[str]) -> str | None:
     if len(low) > 1 and (low <= 0).any():
         return "several numbers in them change"
     if ((2 * high > span) & (high > _GAP * low)).any():
-        return "a number leaves out more than half of its span, and may begin anew behind that"
+        return "a number leaves out more than half of its span, as if counting had started again"
     return None
 
 
@@ -157,14 +157,14 @@ class ImageFiles(RawLog):
         self._times = times_in_names(stems)
         if (note := self._about_names(stems)) is not None:
             diagnostics.note(note)
-        if self._times is None and (table := self._list_beside()) is not None:
+        if self._times is None and (table := self._sibling_table()) is not None:
             diagnostics.note(
                 f"{table.name} has a line for each image and is not used; frames have times if "
                 "the names of the images have them"
             )
 
-    def _list_beside(self) -> Path | None:
-        """A table or text beside the images with as many lines as images, or one more."""
+    def _sibling_table(self) -> Path | None:
+        """A table or text in the folder of the images, of as many lines as images or one more."""
         for path in sorted(self.files[0].parent.glob("*.[tc][xs][tv]")):
             with suppress(OSError), path.open("rb") as file:
                 more = sum(1 for _ in file) - len(self.files)

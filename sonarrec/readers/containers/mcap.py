@@ -5,8 +5,8 @@ package the parsers of single records are used. The heads of all records are wal
 reads a few bytes a chunk. Messages come in log-time order, whatever the order of chunks: these are
 opened in the order of their first messages, and merged where they overlap in time.
 
-A chunk that contradicts itself is not read. Lost messages that the index behind it names keep their
-places, so that later frames keep their numbers.
+A chunk that contradicts itself is not read. Lost messages that the index behind it names are still
+counted, so that later frames keep their numbers.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ class _DamagedError(Exception):
 @dataclass(frozen=True, slots=True)
 class _Chunk:
     """The head of a chunk, and where its data are in the file. time: the first log time, ns. size:
-    bytes after inflation. at, stored: where its bytes begin in the file, and their number. end: of
+    bytes after inflation. start, stored: where its bytes begin in the file, and how many. end: of
     the record."""
 
     time: int
     size: int
     crc: int
     compression: str
-    at: int
+    start: int
     stored: int
     end: int
 
@@ -77,7 +77,7 @@ class McapRecording(Recording):
     def __init__(self, path: Path, diagnostics: Diagnostics) -> None:
         """Raises SonarrecError if it is no MCAP file, OSError if it cannot be read."""
         super().__init__(path, diagnostics)
-        self.whole = False
+        self.complete = False
         # First log time (ns) and position of each unit: a chunk, or a message that is in none.
         self._times, self._positions = array("Q"), array("Q")
         self._schemas, self._listed = dict[int, Any](), dict[int, Any]()
@@ -86,17 +86,17 @@ class McapRecording(Recording):
         self._data_ended = False
         self._file = FileBytes(path)
         self.close = self._file.close
-        if self._file.at(0, len(MAGIC)) != MAGIC:
+        if self._file.read(0, len(MAGIC)) != MAGIC:
             raise SonarrecError(f"{path}: not an MCAP file (it does not begin like one)")
         stop = self._scan(len(MAGIC))
-        for resume in self._indexed() if not self.whole else ():
-            if resume > stop and not self.whole:
+        for resume in self._indexed() if not self.complete else ():
+            if resume > stop and not self.complete:
                 self.fault(
                     f"damaged at byte {stop}; reading continues at byte {resume}, where the index "
                     "knows what follows"
                 )
                 stop = self._scan(resume)
-        if not self.whole:
+        if not self.complete:
             what = "what is whole before it is read, the rest cannot be counted"
             what = "only the summary is lost, no message" if self._data_ended else what
             self.fault(
@@ -105,8 +105,8 @@ class McapRecording(Recording):
         for position in self._positions:
             if self._counted() is not None:
                 break
-            if self._file.at(position, 1)[0] == Opcode.CHUNK:
-                self._look_into(position)
+            if self._file.read(position, 1)[0] == Opcode.CHUNK:
+                self._count_chunk(position)
         if (counts := self._counted()) is not None:
             self.counts = Counter(counts)
         if unlisted := sum(n for c, n in self.counts.items() if c not in self._listed):
@@ -121,36 +121,36 @@ class McapRecording(Recording):
                 channel.topic, schema.name, schema.encoding, schema.data, channel.message_encoding
             )
 
-    def _heads(self, at: int) -> Iterator[tuple[int, int, int]]:
-        """(opcode, start, length) of every whole record's body, from `at` on."""
-        while len(head := self._file.at(at, _HEAD.size)) == _HEAD.size:
+    def _heads(self, position: int) -> Iterator[tuple[int, int, int]]:
+        """(opcode, start, length) of every whole record's body, from `position` on."""
+        while len(head := self._file.read(position, _HEAD.size)) == _HEAD.size:
             opcode, length = _HEAD.unpack(head)
-            if opcode == 0 or at + _HEAD.size + length > self._file.size:
+            if opcode == 0 or position + _HEAD.size + length > self._file.size:
                 return
-            yield opcode, at + _HEAD.size, length
-            at += _HEAD.size + length
+            yield opcode, position + _HEAD.size, length
+            position += _HEAD.size + length
 
-    def _scan(self, at: int) -> int:
+    def _scan(self, position: int) -> int:
         """Register every record up to the footer or the first that is not whole; its position."""
-        for opcode, body, length in self._heads(at):
+        for opcode, body, length in self._heads(position):
             end = body + length
             if opcode == Opcode.FOOTER and length == _FOOTER_BYTES:
-                self.whole = self._file.at(end, len(MAGIC)) == MAGIC
+                self.complete = self._file.read(end, len(MAGIC)) == MAGIC
                 end += len(MAGIC)
-                if self.whole and (more := self._file.size - end):
+                if self.complete and (more := self._file.size - end):
                     self.fault(f"{more} bytes follow its end at byte {end} and were not read")
-                return at
+                return position
             self._data_ended |= opcode == Opcode.DATA_END
             if opcode == Opcode.CHUNK:
-                self._add_chunk(at)
+                self._add_chunk(position)
             elif opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
-                self._add(self._count(self._file.at(body, _MESSAGE.size)), at)
+                self._add(self._count(self._file.read(body, _MESSAGE.size)), position)
             elif opcode in _DEFINITIONS:
-                self._define(opcode, self._file.at(body, min(length, _MAX_DEFINITION_BYTES)))
-            at = end
-        if self._file.at(at, 1) == bytes([Opcode.CHUNK]):  # cut: what is there of it is read
-            self._add_chunk(at)
-        return at
+                self._define(opcode, self._file.read(body, min(length, _MAX_DEFINITION_BYTES)))
+            position = end
+        if self._file.read(position, 1) == bytes([Opcode.CHUNK]):  # cut: its beginning is read
+            self._add_chunk(position)
+        return position
 
     def _add_chunk(self, position: int) -> None:
         try:
@@ -191,7 +191,7 @@ class McapRecording(Recording):
         else:
             (self._schemas if opcode == Opcode.SCHEMA else self._listed)[record.id] = record
 
-    def _look_into(self, position: int) -> None:
+    def _count_chunk(self, position: int) -> None:
         """Count the messages inside a chunk, and keep its definitions."""
         try:
             contents, _ = self._contents(self._chunk_at(position))
@@ -209,39 +209,39 @@ class McapRecording(Recording):
         if (stated := self._statistics) is None:
             return None
         counts: dict[int, int] = stated.channel_message_counts
-        is_whole = (
+        is_complete = (
             sum(counts.values()) == stated.message_count
             and set(counts) <= set(self._listed)
             and stated.channel_count <= len(self._listed)
             and {c.schema_id for c in self._listed.values()} <= {0, *self._schemas}
         )
-        return counts if is_whole else None
+        return counts if is_complete else None
 
     def _indexed(self) -> list[int]:
         """Positions of the chunks by the summary, and of the summary itself, rising."""
         end = self._file.size - len(MAGIC) - _FOOTER_BYTES - _HEAD.size
-        footer, head = self._file.at(max(end, 0), 64), _HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
+        footer, head = self._file.read(max(end, 0), 64), _HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
         if not footer.startswith(head) or not footer.endswith(MAGIC):
             return []
         found = [int.from_bytes(footer[len(head) : len(head) + 8], "little")]
         for opcode, body, length in self._heads(found[0]):
             if opcode == Opcode.CHUNK_INDEX and length >= 24:  # start, end, position of the chunk
-                found.append(int.from_bytes(self._file.at(body + 16, 8), "little"))
+                found.append(int.from_bytes(self._file.read(body + 16, 8), "little"))
         return sorted(p for p in found if 0 < p < end)
 
     def _chunk_at(self, position: int) -> _Chunk:
         """The head of the chunk there. Raises _DamagedError if it contradicts itself, struct.error
         if the file ends inside it."""
-        head = self._file.at(position, _HEAD.size + _CHUNK.size)
+        head = self._file.read(position, _HEAD.size + _CHUNK.size)
         _, length = _HEAD.unpack_from(head)
         time, _, size, crc, count = _CHUNK.unpack_from(head, _HEAD.size)
         if count > 32:
             raise _DamagedError("has no readable head")
-        at, end = position + len(head) + count + 8, position + _HEAD.size + length
-        name, stored = struct.unpack(f"<{count}sQ", self._file.at(at - count - 8, count + 8))
-        if stored > end - at:  # a later version may append fields
+        start, end = position + len(head) + count + 8, position + _HEAD.size + length
+        name, stored = struct.unpack(f"<{count}sQ", self._file.read(start - count - 8, count + 8))
+        if stored > end - start:  # a later version may append fields
             raise _DamagedError("contradicts its own length")
-        return _Chunk(time, size, crc, name.decode(errors="replace"), at, stored, end)
+        return _Chunk(time, size, crc, name.decode(errors="replace"), start, stored, end)
 
     def _contents(self, chunk: _Chunk) -> tuple[memoryview, bool]:
         """(the inflated records of a chunk, whether the file is cut inside it; then only what is
@@ -249,7 +249,7 @@ class McapRecording(Recording):
         largest = max(chunk.size, min(chunk.stored, self._file.size))
         if largest > MAX_CHUNK_BYTES * (1 if chunk.compression else 4):
             raise _DamagedError(f"declares {chunk.size} bytes, more than is inflated")
-        data = self._file.at(chunk.at, chunk.stored)
+        data = self._file.read(chunk.start, chunk.stored)
         cut, most = len(data) < chunk.stored, chunk.size + 1
         try:
             if chunk.compression == "zstd":
@@ -306,11 +306,12 @@ class McapRecording(Recording):
 
     def _messages_at(self, position: int, channels: Collection[int]) -> list[Message]:
         """The messages of some channels in the chunk there, or the one message that is there. Of a
-        damaged chunk, which is told, those that the indexes behind it name, without their data."""
+        damaged chunk, a fault is recorded, and the messages that the indexes behind it name are
+        given without their data."""
         position, end = int(position), 0
-        opcode, length = _HEAD.unpack(self._file.at(position, _HEAD.size))
+        opcode, length = _HEAD.unpack(self._file.read(position, _HEAD.size))
         if opcode == Opcode.MESSAGE:
-            body = memoryview(self._file.at(position + _HEAD.size, length))
+            body = memoryview(self._file.read(position + _HEAD.size, length))
             return _chosen(body, channels)
         chunk, found = self._chunk_at(position), list[Message]()
         try:
@@ -328,13 +329,13 @@ class McapRecording(Recording):
             self.fault(f"the chunk at byte {position} {error}; its {number}frames are lost")
         return found
 
-    def _named_behind(self, at: int, channels: Collection[int]) -> list[Message]:
+    def _named_behind(self, position: int, channels: Collection[int]) -> list[Message]:
         found = list[Message]()
-        for opcode, body, length in self._heads(at):
+        for opcode, body, length in self._heads(position):
             if opcode != Opcode.MESSAGE_INDEX or length > 2**20:
                 break
             try:
-                stream = ReadDataStream(BytesIO(self._file.at(body, length)))
+                stream = ReadDataStream(BytesIO(self._file.read(body, length)))
                 index = records.MessageIndex.read(stream)
             except _UNREADABLE:
                 break
@@ -345,13 +346,13 @@ class McapRecording(Recording):
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """(opcode, body) of every whole record."""
-    at = 0
-    while at + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, at)
-        at += _HEAD.size + length
-        if opcode == 0 or at > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
+    end = 0
+    while end + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, end)
+        end += _HEAD.size + length
+        if opcode == 0 or end > len(data) or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
             return
-        yield opcode, data[at - length : at]
+        yield opcode, data[end - length : end]
 
 
 def _chosen(record: memoryview, channels: Collection[int]) -> list[Message]:

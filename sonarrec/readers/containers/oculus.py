@@ -204,7 +204,7 @@ class OculusPings(RawLog):
         super().__init__(diagnostics, polar=True)
         self._name, self._file = path.name, FileBytes(path)
         self.close = self._file.close
-        head = self._file.at(0, _LOG_HEAD_BYTES)
+        head = self._file.read(0, _LOG_HEAD_BYTES)
         if head.startswith(b"SQLite format 3\0"):
             raise SonarrecError(
                 f"{path}: a log of the second ViewPoint (a database), which is not read; "
@@ -236,10 +236,10 @@ class OculusPings(RawLog):
         raise SonarrecError(f"{path}: no ping of an Oculus can be read in it{problem}")
 
     def __iter__(self) -> Iterator[StoredFrame]:
-        for number, (at, time_ns, message, problem) in enumerate(
+        for number, (position, time_ns, message, problem) in enumerate(
             self._pings(self.diagnostics, self._file.size)
         ):
-            name = f"ping {number} at byte {at}"
+            name = f"ping {number} at byte {position}"
             if message is None or number in self.passed_over:
                 yield StoredFrame(name, time_ns, problem=problem)
             else:
@@ -249,32 +249,32 @@ class OculusPings(RawLog):
         self, diagnostics: Diagnostics, limit: int
     ) -> Iterator[tuple[int, int | None, bytes | None, str | None]]:
         """Yield (position, time in ns, message, problem) of each ping; no message if damaged.
-        limit: where in the file to stop. diagnostics: after all is read, it is told of bytes that
-        belong to no message, and of pings in a format that is not read."""
-        stray_bytes = stray_places = full = 0
-        for at, length, whole in self._divided(limit):
-            if self._length_at(at) is None:
+        limit: where in the file to stop. diagnostics: receives, after all is read, the number of
+        bytes that belong to no message, and of pings in a format that is not read."""
+        stray_bytes = stray_gaps = full = 0
+        for position, length, complete in self._divided(limit):
+            if self._length_at(position) is None:
                 stray_bytes += length
-                stray_places += 1
+                stray_gaps += 1
                 continue
-            if not whole:
-                yield at, None, None, f"only {length} bytes of it are there"
+            if not complete:
+                yield position, None, None, f"only {length} bytes of it are there"
                 continue
-            contents, time_ns = self._file.at(at, length), None
+            contents, time_ns = self._file.read(position, length), None
             try:
                 message, time_ns = _message_of_item(contents) if self._is_log else (contents, None)
             except UnusableError as error:
-                yield at, None, None, str(error)
+                yield position, None, None, str(error)
                 continue
             number = None
             if len(message) >= _HEAD_TYPE.itemsize and message[:2] == _MESSAGE_MARK:
                 number = int(np.frombuffer(message, _HEAD_TYPE, 1)[0]["message"])
             full += number == _FULL_PING
             if number == _SIMPLE_PING:
-                yield at, time_ns, message, None
-        if stray_places:
+                yield position, time_ns, message, None
+        if stray_gaps:
             diagnostics.fault(
-                f"{stray_bytes} bytes in {stray_places} places belong to no message; damaged, so "
+                f"{stray_bytes} bytes in {stray_gaps} gaps belong to no message; damaged, so "
                 "pings may be missing there, or wrong before them",
                 self._name,
             )
@@ -289,25 +289,25 @@ class OculusPings(RawLog):
         """Yield (position, length in bytes, whether it is whole) of messages or items up to
         `limit`, and of bytes that belong to none. If one is not followed by another, or by the end,
         and another begins inside it, it has lost bytes."""
-        at = self._start
-        while at < limit:
-            length = self._length_at(at)
-            end = limit if length is None else min(at + length, limit)
-            whole = length is not None and at + length <= limit
-            followed = whole and (end == limit or self._length_at(end) is not None)
+        position = self._start
+        while position < limit:
+            length = self._length_at(position)
+            end = limit if length is None else min(position + length, limit)
+            complete = length is not None and position + length <= limit
+            followed = complete and (end == limit or self._length_at(end) is not None)
             if not followed:
-                inside = self._file.find(self._mark, at + 1, end, self._begins)
-                whole, end = (whole, end) if inside is None else (False, inside)
-            yield at, end - at, whole
-            at = end
+                inside = self._file.find(self._mark, position + 1, end, self._begins)
+                complete, end = (complete, end) if inside is None else (False, inside)
+            yield position, end - position, complete
+            position = end
 
-    def _begins(self, at: int) -> bool:
-        return self._length_at(at) is not None
+    def _begins(self, position: int) -> bool:
+        return self._length_at(position) is not None
 
-    def _length_at(self, at: int) -> int | None:
+    def _length_at(self, position: int) -> int | None:
         """The length of the message or item that begins there; None if none does."""
         dtype = _ITEM if self._is_log else _HEAD_TYPE
-        head = self._file.at(at, dtype.itemsize)
+        head = self._file.read(position, dtype.itemsize)
         if len(head) < dtype.itemsize or not head.startswith(self._mark):
             return None
         fields = np.frombuffer(head, dtype, 1)[0]

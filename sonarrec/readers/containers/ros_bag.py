@@ -69,7 +69,7 @@ class RosBag(Recording):
             self.note_set_back((time, time) for _, _, time in recorded)
         except Exception as error:
             count = sum(self.counts[c] for c in channels)
-            self.whole = False
+            self.complete = False
             self.fault(f"damaged ({_line(error)}): {count - read} of {count} frames are lost")
 
 

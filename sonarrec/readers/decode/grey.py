@@ -207,9 +207,9 @@ def _speckle(image: np.ndarray, white: np.float32 | None) -> FloatArray:
         block = block * 255 / white
     level, spread = block.mean(axis=1), block.std(axis=1)
     # Black has no speckle, and clipping at either end changes it.
-    whole = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
-    whole &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
-    block, level, spread = block[whole], level[whole], spread[whole]
+    usable = ((block == 0).mean(axis=1) < _MOST_BLACK) & (block.max(axis=1) < 255)
+    usable &= (level > _LEAST_LEVEL) & (spread > _LEAST_SPREAD)
+    block, level, spread = block[usable], level[usable], spread[usable]
     off = (block - level[:, None]) / spread[:, None]
     skew = (off * off * off).mean(axis=1)  # ** 3 takes twenty times as long
     return np.stack([level, spread, skew])
@@ -252,9 +252,9 @@ def _rounded(values: np.ndarray, factor: float) -> ByteImage:
 @dataclass(frozen=True, slots=True)
 class Levels:
     """How pixels become grey. in_colour: whether a frame was, and its map was looked for. off: the
-    distance of colours from the map in the first frame. strayed: whether it was told that colours
-    are of another map. amplitudes: types of integers that hold them. scales: by type of pixels,
-    each from its first usable frame."""
+    distance of colours from the map in the first frame. strayed: whether a note was made
+    that colours are of another map. amplitudes: types of integers that hold them. scales: by type
+    of pixels, each from its first usable frame."""
 
     colour_map: str
     in_colour: bool = False

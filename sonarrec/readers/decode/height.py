@@ -52,7 +52,7 @@ def _levels_by_range(images: Sequence[ByteImage], fan: Fan) -> tuple[FloatArray,
     range_m = fan.range_min_m + ring * fan.window_m
     bearings = fan.bearing_min_deg + beam * (fan.bearing_max_deg - fan.bearing_min_deg)
     column, row = (
-        np.rint(at).astype(int) for at in pixel_from_polar(fan, range_m[:, None], bearings)
+        np.rint(pixel).astype(int) for pixel in pixel_from_polar(fan, range_m[:, None], bearings)
     )
     inside = (column >= 0) & (column < fan.columns) & (row >= 0) & (row < fan.rows)
     cells = np.clip(row, 0, fan.rows - 1), np.clip(column, 0, fan.columns - 1)

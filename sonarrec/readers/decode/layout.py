@@ -26,14 +26,14 @@ MIN_SHARED_WINDOW = 0.5
 PITCHED_DEG = 2.0
 SAME_BINS = 0.25
 """Range bins by which windows may differ that count as one. Sonars that measure the speed of sound
-state another window with every ping, and to lay out an image anew takes long."""
+state another window with every ping, and it takes long to work out a layout for each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
     """What the user states of a log: the geometry, complete if frames do not state theirs; and
-    where, for messages. origin: what states the rest, "messages" or "headers". note: is told what
-    was found out, or contradicts."""
+    where, for messages. origin: what states the rest, "messages" or "headers". note: receives a
+    line on what was found out, or contradicts."""
 
     sonar: Sonar
     where: str
@@ -59,7 +59,7 @@ class Layout:
     order_from: str | None = None
 
 
-def laid_out(
+def arranged(
     layout: Layout | None, image: ByteImage, ping: PingGeometry | None, stated: Stated
 ) -> tuple[Layout, ByteImage]:
     """(the layout, with the window of this frame; its fan image, or its polar one with the nearest
@@ -117,7 +117,7 @@ def _ping(
     known = None if layout is None else layout.order
     order = known or stated.sonar.beam_order or ping.beam_order
     if order is None and image.any():  # nothing can be found from a blank ping
-        order = "beam-major" if looks_beam_major(image) else "range-major"
+        order = "beam-major" if is_beam_major(image) else "range-major"
     if order == "beam-major":
         image = image.reshape(image.shape[::-1]).T
     if stated.sonar.range_order == "far_first":
@@ -263,12 +263,12 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
     return sonar, against
 
 
-def looks_beam_major(image: ByteImage) -> bool:
+def is_beam_major(image: ByteImage) -> bool:
     """Whether samples that were taken to be range-major, (bins, beams), are beam-major instead. In
-    range-major data the sample `beams` places later is the next range bin of the same beam; in
-    beam-major data the sample `bins` places later is the next beam at the same range. Such a sample
-    resembles the first one more than the samples around it do. If this decides nothing, as with
-    equal numbers of bins and beams, the data are taken to be range-major, as most are."""
+    range-major data the sample `beams` positions later is the next range bin of the same beam; in
+    beam-major data the sample `bins` positions later is the next beam at the same range. Such a
+    sample resembles the first one more than the samples around it do. If this decides nothing, as
+    with equal numbers of bins and beams, the data are taken to be range-major, as most are."""
     bins, beams = image.shape
     samples = image.ravel()
     if bins == beams:
@@ -279,10 +279,10 @@ def looks_beam_major(image: ByteImage) -> bool:
 
 
 def _resemblance(samples: np.ndarray, lag: int) -> float:
-    """Mean difference of samples `lag` apart, divided by that of samples a little less or more
-    apart: small if samples `lag` apart resemble each other."""
+    """Mean difference of samples at this lag, divided by that at a slightly smaller or larger lag:
+    small if samples at this lag resemble each other."""
     off = max(1, min(8, lag // 3))  # farther than a spot is wide
-    at, near, far = (
+    at_lag, near, far = (
         float(np.mean(cv2.absdiff(samples[k:], samples[:-k]))) for k in (lag, lag - off, lag + off)
     )
-    return 2 * at / (near + far) if near + far else 1.0
+    return 2 * at_lag / (near + far) if near + far else 1.0

@@ -73,20 +73,20 @@ _PNG_CHUNK = struct.Struct(">I4s")  # length, name; a checksum of 4 bytes follow
 
 _PNG_HEADER = struct.Struct(">II5B")  # columns, rows, bits, colours, and three that are 0
 _PLAIN_GREY = (8, 0, 0, 0, 0)
-_TURNED_OR_TRANSPARENT = {b"eXIf", b"tRNS"}
+_ROTATED_OR_TRANSPARENT = {b"eXIf", b"tRNS"}
 _MOST_PIXELS = 2**24  # as OpenCV, see sonarrec/__init__.py
 
 
 def _png_chunks(data: memoryview) -> set[bytes] | None:
     """The names of a PNG's chunks; None if one is cut or missing. OpenCV trusts the stated length
     of a chunk, and allocates it (up to 4 GB), before it reads."""
-    names, at = set(), len(_PNG)
-    while at + _PNG_CHUNK.size <= len(data):
-        length, name = _PNG_CHUNK.unpack_from(data, at)
+    names, position = set(), len(_PNG)
+    while position + _PNG_CHUNK.size <= len(data):
+        length, name = _PNG_CHUNK.unpack_from(data, position)
         names.add(name)
-        at += _PNG_CHUNK.size + int(length) + 4
+        position += _PNG_CHUNK.size + int(length) + 4
         if name == b"IEND":
-            return names if at <= len(data) else None
+            return names if position <= len(data) else None
     return None
 
 
@@ -118,8 +118,8 @@ def pgm_maxval(data: np.ndarray) -> int | None:
 
 _ONE = "one image a file is read"
 _TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Of any type, and turned by EXIF data as viewers and annotation tools show it. A TIFF is turned in
-# any case, and one of four channels of floats can only be read unchanged.
+# Of any type, and rotated by EXIF data as viewers and annotation tools show it. A TIFF is rotated
+# in any case, and one of four channels of floats can only be read unchanged.
 _AS_SHOWN = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 
@@ -170,7 +170,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             raise UnusableError("unreadable image")
         if b"acTL" in chunks:
             raise UnusableError(f"an animated PNG; {_ONE}")
-        if not chunks & _TURNED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
+        if not chunks & _ROTATED_OR_TRANSPARENT and (plain := _plain_png(buffer.data)) is not None:
             return plain
     if buffer[: len(_NPY)].tobytes() == _NPY:
         return _array(buffer)
@@ -184,7 +184,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        with _warnings_to(told := _warnings_file()):
+        with _warnings_to(captured := _warnings_file()):
             image = cv2.imdecode(buffer, flags)
             if is_tiff:
                 several = cv2.imdecodemulti(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8, range=(1, 2))[0]
@@ -201,9 +201,9 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             f"a TIFF of {image.dtype} with negative pixels, white as zero or colours in planes, "
             "which is not read; convert it, as to PNG"
         )
-    if told.tell():
-        told.seek(0)
-        warning = told.read(4096)
+    if captured.tell():
+        captured.seek(0)
+        warning = captured.read(4096)
         if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
             raise UnusableError("a JPEG that is damaged inside")
     return np.asarray(image)

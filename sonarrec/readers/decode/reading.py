@@ -16,7 +16,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.readers.decode.colour import LUMINANCE
 from sonarrec.readers.decode.grey import Levels, first_levels, grey_of
 from sonarrec.readers.decode.height import height_from_images
-from sonarrec.readers.decode.layout import Layout, Stated, agree, laid_out
+from sonarrec.readers.decode.layout import Layout, Stated, agree, arranged
 from sonarrec.readers.raw import StoredFrame, UnusableError
 from sonarrec.records import Fan
 from sonarrec.sonar import Sonar
@@ -54,7 +54,7 @@ def settle(stated: Stated, first: Sequence[StoredFrame]) -> Reading:
     """How a log is read, from its first frames. The fan is that of the ping with which most pings
     agree. It need not be the first, since a driver may send one before it has its settings. A
     height that nobody states is estimated. Raises SonarrecError if the geometry does not fit."""
-    first = [frame for frame in first if frame.shows] or first
+    first = [frame for frame in first if frame.has_content] or first
     reading = Reading(stated, first_levels(stated, first))
     pings = [(f, f.ping) for f in first if f.ping is not None and f.pixels is not None]
     if pings:
@@ -71,7 +71,7 @@ def settle(stated: Stated, first: Sequence[StoredFrame]) -> Reading:
     if (layout := reading.layout) is None or not images:
         return reading
     if layout.polar is not None:
-        layout.polar.forget()  # a run makes no more fan images
+        layout.polar.free()  # a run makes no more fan images
     fan = replace(layout.fan, height_m=height_from_images(images, layout.fan))
     return replace(reading, layout=replace(layout, fan=fan))
 
@@ -83,5 +83,5 @@ def apply(reading: Reading, frame: StoredFrame) -> tuple[Reading, ByteImage]:
     if frame.pixels is None:
         raise UnusableError(str(frame.problem))
     levels, image = grey_of(reading.levels, frame, frame.pixels, reading.stated)
-    layout, image = laid_out(reading.layout, image, frame.ping, reading.stated)
+    layout, image = arranged(reading.layout, image, frame.ping, reading.stated)
     return Reading(reading.stated, levels, layout), image

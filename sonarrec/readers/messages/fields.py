@@ -41,7 +41,7 @@ class Fields:
             raise self._wrong(name, "message")
         return Fields(value)
 
-    def whole(self, name: str, default: int | None = None) -> int:
+    def integer(self, name: str, default: int | None = None) -> int:
         """A whole number, 0 or more. default: for a missing field."""
         value = default if default is not None and name not in self else self._get(name)
         if not isinstance(value, int) or value < 0:

@@ -49,26 +49,26 @@ def decode_flatbuffer(name: str, message: memoryview) -> dict[str, Any]:
             offset = (
                 struct.unpack_from("<H", message, vtable + 4 + 2 * slot)[0] if slot < slots else 0
             )
-            at = root + offset
+            position = root + offset
             if key == "timestamp":
-                sec, nanosec = struct.unpack_from("<II", message, at) if offset else (0, 0)
+                sec, nanosec = struct.unpack_from("<II", message, position) if offset else (0, 0)
                 fields[key] = {"sec": sec, "nanosec": nanosec}
             elif key in _NUMBERS:
-                fields[key] = _uint(message, at) if offset else 0
+                fields[key] = _uint(message, position) if offset else 0
             else:
-                fields[key] = _vector(message, at) if offset else b""
+                fields[key] = _vector(message, position) if offset else b""
     except struct.error:
         raise UnusableError("malformed message (it ends too early)") from None
     return fields
 
 
-def _uint(message: memoryview, at: int) -> int:
-    return int(struct.unpack_from("<I", message, at)[0])
+def _uint(message: memoryview, position: int) -> int:
+    return int(struct.unpack_from("<I", message, position)[0])
 
 
-def _vector(message: memoryview, at: int) -> memoryview:
-    """The bytes of the string or vector that the offset at `at` points to."""
-    start = at + _uint(message, at)
+def _vector(message: memoryview, position: int) -> memoryview:
+    """The bytes of the string or vector that the offset at `position` points to."""
+    start = position + _uint(message, position)
     data = message[start + 4 : start + 4 + _uint(message, start)]
     if len(data) != _uint(message, start):
         raise UnusableError("malformed message (it ends too early)")

@@ -207,14 +207,14 @@ class RosDecoder:
         rest."""
         code = np.dtype(_NUMPY.get(number[1][0], number[1][0])).str[1:]
 
-        def read(order: str, aligned: bool, body: memoryview, at: int, *_: Any) -> tuple[Any, int]:
+        def read(order: str, aligned: bool, body: memoryview, pos: int, *_: Any) -> tuple[Any, int]:
             dtype = np.dtype(order + code)
-            (count,) = struct.unpack_from(f"{order}I", body, at)
-            at += 4
+            (count,) = struct.unpack_from(f"{order}I", body, pos)
+            pos += 4
             if aligned and count:
-                at += -at % dtype.itemsize
-            table = np.frombuffer(body, dtype, count * len(names), at).reshape(count, len(names))
-            return {name: table[:, i] for i, name in enumerate(names)}, at + table.nbytes
+                pos += -pos % dtype.itemsize
+            table = np.frombuffer(body, dtype, count * len(names), pos).reshape(count, len(names))
+            return {name: table[:, i] for i, name in enumerate(names)}, pos + table.nbytes
 
         name = f"table{len(self._store.cache)}"
         self._store.cache[name] = SimpleNamespace(

@@ -30,8 +30,9 @@ messages may come as bytes."""
 def read_image(message: Fields) -> Decoded:
     """sensor_msgs/Image, foxglove.RawImage: uncompressed pixels."""
     encoding = message.text("encoding")
-    height, width, step = message.whole("height"), message.whole("width"), message.whole("step", 0)
-    big_endian = message.whole("is_bigendian", 0) != 0
+    height, width = message.integer("height"), message.integer("width")
+    step = message.integer("step", 0)
+    big_endian = message.integer("is_bigendian", 0) != 0
     pixels = raw_pixels(message.octets("data"), height, width, encoding, step, big_endian)
     return Decoded(pixels, message.stamp_ns())
 
@@ -50,14 +51,14 @@ _SAMPLE_TYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 def _samples(message: Fields, bins: int, bearings_deg: FloatArray) -> np.ndarray:
     """(bins, beams) samples of a message's SonarImageData, assumed to be range-major."""
     image = message.inner("image")
-    beams, number = image.whole("beam_count"), image.whole("dtype")
+    beams, number = image.integer("beam_count"), image.integer("dtype")
     if beams != len(bearings_deg):
         raise UnusableError(f"{beams} beams with {len(bearings_deg)} directions")
     if bins < 2 or beams < 2:
         raise UnusableError(f"{beams} beams of {bins} samples are no image")
     if number >= len(_SAMPLE_TYPES):
         raise UnusableError(f"unknown sample type {number}")
-    dtype = np.dtype((">" if image.whole("is_bigendian") else "<") + _SAMPLE_TYPES[number])
+    dtype = np.dtype((">" if image.integer("is_bigendian") else "<") + _SAMPLE_TYPES[number])
     data = image.octets("data")
     if bins * beams * dtype.itemsize != len(data):
         raise UnusableError(
@@ -109,8 +110,8 @@ def read_raw_sonar_image(message: Fields) -> Decoded:
     rate = message.number("sample_rate")
     if speed <= 0 or rate <= 0:
         raise UnusableError(f"sound speed {speed:g} m/s at {rate:g} samples a second")
-    pixels = _samples(message, message.whole("samples_per_beam"), bearings)
-    ranges = (message.whole("sample0") + np.arange(len(pixels))) * speed / (2 * rate)
+    pixels = _samples(message, message.integer("samples_per_beam"), bearings)
+    ranges = (message.integer("sample0") + np.arange(len(pixels))) * speed / (2 * rate)
     return _acoustic_ping(message, pixels, ranges, bearings)
 
 
@@ -147,10 +148,10 @@ def read_oculus_ping(message: Fields) -> Decoded:
 
 def read_oculus_interfaces_ping(message: Fields) -> Decoded:
     """oculus_interfaces/Ping: a row may begin with a gain; it is divided by the gain's root."""
-    bins, beams, step = (message.whole(k) for k in ("n_ranges", "n_beams", "step"))
-    size = message.whole("sample_size")
+    bins, beams, step = (message.integer(k) for k in ("n_ranges", "n_beams", "step"))
+    size = message.integer("sample_size")
     data = message.octets("ping_data")
-    gains = message.whole("has_gains") != 0
+    gains = message.integer("has_gains") != 0
     if len(data) != bins * step:  # a wrong step is ignored, as in images
         step = 0
     pixels = oculus_samples(data, bins, beams, size, gains=gains, step=step)

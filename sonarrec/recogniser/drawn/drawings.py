@@ -1,7 +1,7 @@
 """What a set's drawings look like to a sonar, and how well a plate's picture matches each of them.
 
 A picture is a square of `size` x `size` grey levels, sampled in the plate's own axes. A drawing may
-show in it in up to eight ways (`ways`): four quarter turns, as drawn or mirrored.
+show in it in up to eight ways (`ways`): rotated by 0, 90, 180 or 270 degrees, mirrored or not.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray, FloatImage, IndexArray
 from sonarrec.landmarks import DrawnSet
 
-LEAST_ALIKE = 0.3  # correlation of neighbouring cells, below which they are drawn each by itself
+LEAST_CORRELATION = 0.3  # of neighbouring cells; below it they are drawn each by itself
 RIVALS = 64  # random drawings of the set's kind of cells
 FINE, COARSE = 28, 10  # samples along a picture's side
 # Standard deviations of softened pictures, and how far a picture is shifted, in samples.
@@ -61,9 +61,9 @@ def _slopes(size: int) -> FloatImage:
 def levelled(pictures: FloatImage, light: FloatImage) -> FloatImage:
     """(n, size ** 2) pictures without uneven light, of norm 1. light: (n, 4, size ** 2)."""
     share = light @ pictures[..., None]
-    taken = pictures - (share.transpose(0, 2, 1) @ light)[:, 0]
-    norm = np.linalg.norm(taken, axis=1, keepdims=True)
-    return np.asarray(taken / np.maximum(norm, 1e-6), np.float32)
+    residual = pictures - (share.transpose(0, 2, 1) @ light)[:, 0]
+    norm = np.linalg.norm(residual, axis=1, keepdims=True)
+    return np.asarray(residual / np.maximum(norm, 1e-6), np.float32)
 
 
 def comparisons(
@@ -97,14 +97,14 @@ def comparisons(
 
 
 def shown(drawing: FloatImage, way: int) -> FloatImage:
-    """(..., n, n) drawings as they show: turned by way % 4 quarters, mirrored from way 4 on."""
+    """(..., n, n) drawings as they show: rotated by way % 4 quarters, mirrored from way 4 on."""
     return np.rot90(drawing[..., ::-1] if way >= 4 else drawing, way % 4, axes=(-2, -1))
 
 
 def as_drawn(picture: FloatImage, way: int) -> FloatImage:
     """The inverse of `shown`."""
-    turned = np.rot90(picture, -(way % 4), axes=(-2, -1))
-    return turned[..., ::-1] if way >= 4 else turned
+    rotated = np.rot90(picture, -(way % 4), axes=(-2, -1))
+    return rotated[..., ::-1] if way >= 4 else rotated
 
 
 class Drawings:
@@ -194,8 +194,10 @@ def _rivals(drawings: list[FloatImage]) -> list[FloatImage]:
 def _grain(drawings: FloatImage) -> float:
     """The sigma, in cells, of smoothed noise whose sign changes as often from cell to cell."""
     across, down = drawings[:, :, 1:] == drawings[:, :, :-1], drawings[:, 1:] == drawings[:, :-1]
-    alike = np.sin(np.pi * (np.concatenate([across.ravel(), down.ravel()]).mean() - 0.5))
-    return 0.5 / float(np.sqrt(-np.log(alike))) if LEAST_ALIKE < alike < 1 else 0.0
+    correlation = np.sin(np.pi * (np.concatenate([across.ravel(), down.ravel()]).mean() - 0.5))
+    return (
+        0.5 / float(np.sqrt(-np.log(correlation))) if LEAST_CORRELATION < correlation < 1 else 0.0
+    )
 
 
 def _grainy(rng: np.random.Generator, count: int, n: int, sigma: float) -> FloatArray:

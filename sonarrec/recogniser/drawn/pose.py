@@ -31,12 +31,12 @@ from sonarrec.recogniser.plane import Plane
 
 # Foreshortening, and the plate's rotation in the image, of the poses that are tried first.
 SHORTENED = {"free": (1.0, 0.78, 0.6, 0.42), "floor": (1.0,)}
-TURNED_DEG, AXIS_DEG = range(-45, 45, 15), (-25, 0, 25)
+ROTATIONS_DEG, AXIS_DEG = range(-45, 45, 15), (-25, 0, 25)
 # Coarse samples, each way, over which the middle is looked for; NEAR: from frame to frame.
 REACH, NEAR = 6, 2
 # Of the poses tried, those that are refined a little, and wholly; of a drawing, SAME at most, with
-# their middles so many halves of a side apart.
-STARTS, BEST, SAME, APART = 20, 4, 2, 0.3
+# SEPARATION halves of a side or more between their middles.
+STARTS, BEST, SAME, SEPARATION = 20, 4, 2, 0.3
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
 EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
@@ -88,28 +88,28 @@ class PoseFitter:
         self._half, self._bounds = plane.axes[0], BOUNDS[pose]
         self._tried = self._half * np.array(
             [
-                _rotation(axis) @ np.diag([1, short]) @ _rotation(turn - axis)
+                _rotation(axis) @ np.diag([1, short]) @ _rotation(rotation - axis)
                 for short in SHORTENED[pose]
                 for axis in AXIS_DEG[: 3 if short < 1 else 1]
-                for turn in TURNED_DEG
+                for rotation in ROTATIONS_DEG
             ]
         )
 
-    def search(self, image: FloatImage, place: FloatArray, others: Sequence[FloatArray]) -> Fit:
-        """The likeliest fit of any drawing with its middle near (2,) a place, whatever its pose.
+    def search(self, image: FloatImage, position: FloatArray, others: Sequence[FloatArray]) -> Fit:
+        """The likeliest fit of any drawing, in any pose, with its middle near a position, (2,).
 
         others: poses of plates that are known: it does not lie on these.
         """
-        return max(self.candidates(image, place, others), key=lambda fit: fit.odds)
+        return max(self.candidates(image, position, others), key=lambda fit: fit.odds)
 
     def candidates(
-        self, image: FloatImage, place: FloatArray, others: Sequence[FloatArray]
+        self, image: FloatImage, position: FloatArray, others: Sequence[FloatArray]
     ) -> list[Fit]:
         """Some of the best fits, as of `search`."""
-        sight = self.plane.line_of_sight(place[None])[0] - np.pi / 2
+        sight = self.plane.line_of_sight(position[None])[0] - np.pi / 2
         matrices = _rotation(float(np.degrees(sight))) @ self._tried
         poses = np.concatenate(
-            [np.tile(place, (len(matrices), 1)), matrices.reshape(-1, 4)], axis=1
+            [np.tile(position, (len(matrices), 1)), matrices.reshape(-1, 4)], axis=1
         )
         smear = self.smear(poses[0])
         rows = self.drawings.seen(COARSE, (max(smear), max(smear)))[self.drawings.sought]
@@ -118,13 +118,13 @@ class PoseFitter:
         match, middles, way = self._shifted(image, poses, templates, REACH)
         for other in others:
             match[self.halves_off(other, middles) < EXPLAINED] = -1
-        # Some of the best drawings, each in its best poses: refinement tells what looks alike.
+        # Some of the best drawings, each in its best poses: refinement distinguishes them.
         chosen: list[tuple[int, int]] = []
         for index in np.argsort(-match, axis=None).tolist():
             i, k = divmod(index, len(rows))
             same = [j for j, of in chosen if of == k]
             offsets = [np.hypot(*(middles[i, k] - middles[j, k])) for j in same]
-            if len(same) < SAME and min(offsets, default=np.inf) > APART * self._half:
+            if len(same) < SAME and min(offsets, default=np.inf) > SEPARATION * self._half:
                 chosen.append((i, k))
             if len(chosen) == min(STARTS, SAME * len(rows)):
                 break
@@ -153,15 +153,15 @@ class PoseFitter:
 
     def range_ward(self, poses: FloatArray) -> FloatArray:
         """(n, 2) direction in (u, v) in which the range grows, at n poses."""
-        away = poses[:, :2] - self.plane.apex
-        along = np.linalg.solve(poses[:, 2:].reshape(-1, 2, 2), away[..., None])[..., 0]
+        offset = poses[:, :2] - self.plane.apex
+        along = np.linalg.solve(poses[:, 2:].reshape(-1, 2, 2), offset[..., None])[..., 0]
         return np.asarray(along / np.hypot(*along.T)[:, None])
 
     def smear(self, pose: FloatArray) -> tuple[float, float]:
         """Standard deviations along u and v of an echo at a pose, in halves of the plate's side."""
-        away = pose[:2] - self.plane.apex
-        distance = np.hypot(*away)
-        along, across = away / distance, np.array([-away[1], away[0]]) / distance
+        offset = pose[:2] - self.plane.apex
+        distance = np.hypot(*offset)
+        along, across = offset / distance, np.array([-offset[1], offset[0]]) / distance
         inverse = np.linalg.inv(pose[2:].reshape(2, 2))
         # A pixel is about as long as what interpolation smears.
         wide = inverse @ np.stack([across * np.hypot(self._beam * distance, 0.5), 0.5 * along], 1)
@@ -224,7 +224,7 @@ class PoseFitter:
         light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
-                shown(self.drawings.seen(FINE, self._turned(p, way))[row], way)
+                shown(self.drawings.seen(FINE, self._smear_in_drawing(p, way))[row], way)
                 for p, row, way in zip(poses, rows, ways, strict=True)
             ]
         )
@@ -249,7 +249,7 @@ class PoseFitter:
             for i in range(n)
         ]
 
-    def _turned(self, pose: FloatArray, way: int) -> tuple[float, float]:
+    def _smear_in_drawing(self, pose: FloatArray, way: int) -> tuple[float, float]:
         """The smear in the drawing's own axes."""
         across, down = self.smear(pose)
         return (down, across) if way % 2 else (across, down)

@@ -22,7 +22,7 @@ from sonarrec.records import Groups, Motion, Selection
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
 # frame before: noise reaches .56 and .40.
 LEAST_MATCH, LEAST_NEAR = 0.57, 0.48
-LOST_FRAMES = 12  # without a picture; then the pose is looked for anew
+LOST_FRAMES = 12  # without a picture; then the pose is looked for again
 # A pose is looked for FIRST times in a track's first frames, then in every OFTEN-th while none is
 # sure.
 FIRST, OFTEN, SURE = 3, 8, 2.0  # log odds
@@ -31,7 +31,7 @@ FIRST_SEARCHES, SEARCHES = 2, 1  # in one frame, at most: where new groups wait,
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
 SHOWN = 0.8  # least share of a plate inside the fan
 POSE_SPREAD = 0.06  # of a fitted middle, in sides
-SMOOTH_PX = 0.7  # a picture's samples lie further apart than pixels
+SMOOTH_PX = 0.7  # the samples of a picture are coarser than pixels
 
 
 def smooth(image: ByteImage) -> FloatImage:
@@ -80,7 +80,7 @@ class Plates:
         """Fit every known plate in the next frame."""
         for plate in self._plates.values():
             fit = self._fitter.near(image, plate.fit)
-            plate.seen = self._shows(fit, LEAST_NEAR)
+            plate.seen = self._is_clear(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
                 plate.began += (fit.row, fit.way) != (plate.fit.row, plate.fit.way)
@@ -121,13 +121,13 @@ class Plates:
         self._ages = {n: self._ages.get(n, -1) + 1 for n in numbers}
         self._plates = {n: self._plates[n] for n in numbers if n in self._plates}
         self._searched = {n: self._searched.get(n, 0) for n in numbers}
-        place = dict(zip(numbers, groups.positions, strict=True))
+        position = dict(zip(numbers, groups.positions, strict=True))
         waiting = sorted((self._searched[n], n) for n in numbers if self._wanting(n))
         new = bool(waiting) and waiting[0][0] < FIRST
         for _, number in waiting[: FIRST_SEARCHES if new else SEARCHES]:
             self._searched[number] += 1
             plate = self._plates.get(number)
-            self._search(image, number, place[number] if plate is None else plate.fit.pose[:2])
+            self._search(image, number, position[number] if plate is None else plate.fit.pose[:2])
         positions, spread = groups.positions.copy(), groups.spread.copy()
         shown = np.zeros(len(numbers), bool)
         for i, number in enumerate(numbers):
@@ -154,10 +154,10 @@ class Plates:
         sure = plate is not None and plate.seen and plate.fit.odds >= SURE
         return self._searched[number] < FIRST or (not sure and self._ages[number] % OFTEN == 0)
 
-    def _search(self, image: FloatImage, number: int, place: FloatArray) -> None:
+    def _search(self, image: FloatImage, number: int, position: FloatArray) -> None:
         others = [p.fit.pose for n, p in self._plates.items() if n != number]
-        fit, plate = self._fitter.search(image, place, others), self._plates.get(number)
-        if not self._shows(fit, LEAST_MATCH):
+        fit, plate = self._fitter.search(image, position, others), self._plates.get(number)
+        if not self._is_clear(fit, LEAST_MATCH):
             return
         if any(self._fitter.halves_off(other, fit.pose[:2]) < EXPLAINED for other in others):
             return
@@ -166,7 +166,7 @@ class Plates:
         elif not plate.seen or fit.odds > plate.fit.odds + BETTER:
             self._plates[number] = _Plate(fit, seen=True, began=plate.began + 1)
 
-    def _shows(self, fit: Fit, least: float) -> bool:
+    def _is_clear(self, fit: Fit, least: float) -> bool:
         """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""
         if fit.match < least or max(self._fitter.smear(fit.pose)) > WIDEST_SIGMA:
             return False

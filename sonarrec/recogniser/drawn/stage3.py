@@ -33,7 +33,7 @@ class PlateEvidence(Evidence):
     """(n,) with the best of the random drawings; 0 where the plate is not seen."""
     odds: FloatImage
     """(n,) mean of Fit.odds."""
-    turn_deg: FloatImage
+    orientation_deg: FloatImage
     """(n, K) orientation of each ID, counter-clockwise from the image's right."""
     beyond_deg: FloatImage
     """(n,) the line of sight, the same way."""
@@ -62,7 +62,7 @@ class PlateMeasurement:
         self._tracks = {n: self._tracks.get(n, _Track()) for n in numbers}
         for number, of_frame in zip(numbers, fits, strict=True):
             if of_frame is not None:
-                self._take(self._tracks[number], *of_frame)
+                self._add(self._tracks[number], *of_frame)
         tracks = [self._tracks[n] for n in numbers]
         k, n = self._drawings.count, len(numbers)
         evidence = PlateEvidence(
@@ -73,7 +73,9 @@ class PlateMeasurement:
             matches=np.array([self._of_ids(t.matches) for t in tracks]).reshape(n, k),
             rival=np.array([t.rival for t in tracks], np.float32),
             odds=np.array([t.odds for t in tracks], np.float32),
-            turn_deg=np.array([self._of_ids(t.turn_deg) for t in tracks]).reshape(n, k),
+            orientation_deg=np.array([self._of_ids(t.orientation_deg) for t in tracks]).reshape(
+                n, k
+            ),
             beyond_deg=np.degrees(sight).astype(np.float32),
             corners=np.array([self._corners(f) for f in fits]).reshape(n, 4, 2),
         )
@@ -87,7 +89,7 @@ class PlateMeasurement:
         of_frames = self._fitter.model.of_tracks(evidence.matches, evidence.rival, evidence.odds)
         probabilities = self._belief(groups, evidence, of_frames)
         row, _ = likeliest(probabilities)
-        turn = evidence.turn_deg[np.arange(len(row)), row] - evidence.beyond_deg
+        rotation = evidence.orientation_deg[np.arange(len(row)), row] - evidence.beyond_deg
         sigma = np.full(len(row), ANGLE_SIGMA_DEG / STEP_DEG)
         enough_evidence = (evidence.frames >= LEAST_FRAMES) & tracked.in_view
         corners = np.stack(
@@ -97,7 +99,7 @@ class PlateMeasurement:
         edges = corners[:, :, 0] + np.roll(corners[:, :, 0], -1, axis=1)
         order = (np.arange(4) + edges.argmax(axis=1)[:, None]) % 4
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
-        return Beliefs(probabilities, turn / STEP_DEG, sigma, enough_evidence, corners)
+        return Beliefs(probabilities, rotation / STEP_DEG, sigma, enough_evidence, corners)
 
     def _corners(self, of_frame: tuple[Fit, int] | None) -> FloatArray:
         if of_frame is None:
@@ -108,7 +110,7 @@ class PlateMeasurement:
     def _of_ids(self, values: FloatImage) -> FloatImage:
         return values if len(values) else np.zeros(self._drawings.count, np.float32)
 
-    def _take(self, track: _Track, fit: Fit, began: int) -> None:
+    def _add(self, track: _Track, fit: Fit, began: int) -> None:
         """Add a fit's picture to a track's average, and compare that with the drawings."""
         if began != track.began:
             track.picture, track.weight = np.zeros((FINE, FINE), np.float32), 0.0
@@ -130,7 +132,7 @@ class PlateMeasurement:
         right = np.array([(1, 0), (0, -1), (-1, 0), (0, 1)])[ways[:k] % 4]
         right = np.where(ways[:k, None] >= 4, -right, right)
         x, y = right @ np.stack([across, down])[:, 0], right @ np.stack([across, down])[:, 1]
-        track.turn_deg = np.degrees(np.arctan2(-y, x)).astype(np.float32)
+        track.orientation_deg = np.degrees(np.arctan2(-y, x)).astype(np.float32)
 
 
 class _Track:
@@ -140,6 +142,6 @@ class _Track:
         self.picture: FloatImage = np.zeros((FINE, FINE), np.float32)
         self.weight, self.frames, self.episode, self.began = 0.0, 0, 0, 0
         self.matches: FloatImage = np.empty(0, np.float32)
-        self.turn_deg: FloatImage = np.empty(0, np.float32)
+        self.orientation_deg: FloatImage = np.empty(0, np.float32)
         self.rival = self.odds = 0.0
         self.best: Drawing | None = None

@@ -119,7 +119,7 @@ class PlateScore:
 
     def __call__(self, image: ByteImage, levels: Levels) -> ScoreMaps:
         """As of `Detector`."""
-        around, sigma = upsample(levels.mean, image.shape), levels.whole
+        around, sigma = upsample(levels.mean, image.shape), levels.frame_sigma
         relief = (image - around) * self._inside
         fine, broad = (cv2.blur(relief, (size, size)) for size in self._sizes)
         inner = np.maximum(self._mean((fine - broad) ** 2), 0)

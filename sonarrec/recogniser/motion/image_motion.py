@@ -30,7 +30,7 @@ BETTER = 0.1
 # A standing sonar may have started to move if the pan's match falls below USUAL_SHARE of its usual
 # value: a running mean over about USUAL_MEMORY frames, which starts at FIRST_USUAL.
 USUAL_SHARE, FIRST_USUAL, USUAL_MEMORY = 0.75, 0.8, 20.0
-LOOK_EVERY = 8  # frames between quick registrations of a standing sonar that matches as usual
+CHECK_EVERY = 8  # frames between quick registrations of a standing sonar that matches as usual
 # If the pan matches poorly, any motion is searched for: again in the next frame, then after 2, 4
 # and so on, up to MOST_PAUSE frames. About half of a fast vehicle's pairs of frames register.
 MOST_PAUSE = 8
@@ -108,7 +108,7 @@ class ImageMotion:
         before = self._picture
         if before.grey is not self.pan.picture:  # poses gave the motion to the last image
             before = self._registration.picture(self.pan.picture)
-        self.pan.look(image)
+        self.pan.add_image(image)
         now = self._picture = self._registration.picture(self.pan.picture)
         if seconds is None:
             return None
@@ -120,17 +120,17 @@ class ImageMotion:
 
     def _standing(self, before: Picture, now: Picture, seconds: float) -> Motion:
         """The motion of a sonar that stood until now."""
-        pan_deg, match = self.pan.turn()
-        turn = math.radians(pan_deg)
-        start = np.array([0.0, 0.0, turn])
+        pan_deg, match = self.pan.rotation()
+        yaw = math.radians(pan_deg)
+        start = np.array([0.0, 0.0, yaw])
         self._since_quick += 1
         self._since_search += 1
         poor = match < USUAL_SHARE * self._usual_match
         if match < USUAL_SHARE * FIRST_USUAL:  # poor by any standard: search with pauses
             poor |= self._since_search >= self._pause
         quick, crept, moves = None, False, False
-        if poor or self._pan_sigma is None or self._since_quick >= LOOK_EVERY:
-            quick, crept, moves = self._quick_look(before, now, turn)
+        if poor or self._pan_sigma is None or self._since_quick >= CHECK_EVERY:
+            quick, crept, moves = self._quick_check(before, now, yaw)
         if moves or poor:
             found = None
             if moves or not (quick is not None and _stands(quick)):
@@ -154,13 +154,13 @@ class ImageMotion:
         right, ahead = self._evidence.sigma.tolist()
         return Motion(pan_deg, 0.0, 0.0, self._pan_sigma, right, ahead)
 
-    def _quick_look(
-        self, before: Picture, now: Picture, turn: float
+    def _quick_check(
+        self, before: Picture, now: Picture, yaw: float
     ) -> tuple[Registration | None, bool, bool]:
         """(a quick registration, whether a keyframe shows a motion, whether that or the evidence
-        of the last frames does). turn: the pan since the picture before, rad."""
-        quick = self._registration.quick(before, now, turn)
-        crept = self._keyframes.crept(now, turn, SET_OUT)
+        of the last frames does). yaw: the pan since the picture before, rad."""
+        quick = self._registration.quick(before, now, yaw)
+        crept = self._keyframes.crept(now, yaw, SET_OUT)
         moves = (quick is not None and self._evidence.add(quick) > SET_OUT) or crept
         self._since_quick = 0
         self._pan_sigma = None
@@ -191,16 +191,16 @@ class ImageMotion:
         if self._lost > MOST_LOST:
             self._speed, self._lost, self._usual_match = None, 0, FIRST_USUAL
             return unknown(seconds)
-        right, ahead, turn = start.tolist()
+        right, ahead, yaw = start.tolist()
         metres, degrees = LOST_M_S * seconds, LOST_DEG_S * seconds
-        return Motion(math.degrees(turn), right, ahead, degrees, metres, metres)
+        return Motion(math.degrees(yaw), right, ahead, degrees, metres, metres)
 
     def _register(
         self, before: Picture, now: Picture, start: FloatArray, *, searched: bool
     ) -> Registration | None:
         """A registration from `start`, or from a search; None where it is not accepted."""
         if searched:
-            start = motion_grid(self._registration.places).best(before.grey, now.grey)
+            start = motion_grid(self._registration.grid).best(before.grey, now.grey)
         least = LEAST_SEARCHED if searched else LEAST_NEAR
         found = self._registration.refined(before, now, start)
         return None if found is None or found.loose or found.match < least else found
@@ -212,9 +212,9 @@ class ImageMotion:
         """
         self._keyframes.keep(now, registration.motion)
         self._speed, self._lost = registration.motion / seconds, 0
-        right, ahead, turn = registration.motion.tolist()
+        right, ahead, yaw = registration.motion.tolist()
         sigma = np.hypot(registration.sigma, [SCALE_ERROR * right, SCALE_ERROR * ahead, 0])
-        pan_deg, pan_sigma_deg = math.degrees(turn), math.degrees(sigma[2])
+        pan_deg, pan_sigma_deg = math.degrees(yaw), math.degrees(sigma[2])
         return Motion(pan_deg, right, ahead, pan_sigma_deg, float(sigma[0]), float(sigma[1]))
 
 

@@ -2,8 +2,8 @@
 
 Steps from frame to frame are measured with a bias of up to a twentieth of a cell, which at a
 constant speed always has the same sign. Over many frames these errors add up, and a sonar that
-moves slowly seems to stand. A pose measured from a keyframe some cells away has the error of a
-single step.
+moves slowly seems to stand. A pose measured from a keyframe at some cells' distance has the error
+of a single step.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.recogniser.motion.registration import FloorRegistration, Picture, Registration
 
-# A keyframe is used from 6 to 12 cells away, as long as it matches by LEAST_MATCH. Steps of more
-# than MOST_STEP cells are measured from frame to frame: their bias matters little, and consecutive
-# pictures overlap more.
+# A keyframe is used at a distance of 6 to 12 cells, as long as it matches by LEAST_MATCH. Steps of
+# more than MOST_STEP cells are measured from frame to frame: their bias matters little, and
+# consecutive pictures overlap more.
 KEYFRAME_CELLS, LEAST_MATCH, MOST_STEP = 12, 0.3, 2.0
 STRETCH = 16  # frames over which a motion must be significant, else the sonar is taken to stand
 # Chi-square, of 2 degrees of freedom, of a quick registration above which a full one is made.
@@ -67,23 +67,23 @@ class Keyframes:
         """Take in a motion (3,) since the last picture; this one may become a keyframe."""
         self._pose = _after(self._pose, motion)
         self._trail.append(self._pose)
-        away = math.inf
+        distance = math.inf
         if self._kept:
-            away = self._registration.cells(_between(self._kept[0].pose, self._pose))
-        if away >= KEYFRAME_CELLS / 2 * len(self._kept):
+            distance = self._registration.cells(_between(self._kept[0].pose, self._pose))
+        if distance >= KEYFRAME_CELLS / 2 * len(self._kept):
             # Of two, the older goes.
             self._kept.append(_Keyframe(self._pose, now))
 
-    def crept(self, now: Picture, turn: float, sure: float) -> bool:
+    def crept(self, now: Picture, yaw: float, sure: float) -> bool:
         """Whether a keyframe shows that a sonar taken to stand has moved; its pose is then updated.
 
-        turn: yaw since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above
+        yaw: since the last picture, rad. sure: the chi-square, of 2 degrees of freedom, above
         which the sonar has moved.
         """
         if not self._kept:
             return False
         keyframe = self._kept[0]
-        expected = _between(keyframe.pose, _after(self._pose, np.array([0.0, 0.0, turn])))
+        expected = _between(keyframe.pose, _after(self._pose, np.array([0.0, 0.0, yaw])))
         quick = self._registration.quick(keyframe.picture, now, float(expected[2]))
         if quick is None or quick.match < LEAST_MATCH:
             self.clear()
@@ -94,7 +94,7 @@ class Keyframes:
         if found is None or found.loose or found.translation(found.motion) <= sure:
             return False
         # The motion so far is not reported: the tracks have followed their discs without it.
-        self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -turn]))
+        self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -yaw]))
         return True
 
     def under_way(self, found: Registration) -> float | None:
@@ -110,13 +110,13 @@ class Keyframes:
 def _after(pose: FloatArray, motion: FloatArray) -> FloatArray:
     """(3,) the pose that a motion (3,) leads to from `pose` (3,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    right, ahead, turn = motion
-    way = [right * cos + ahead * sin, ahead * cos - right * sin, turn]
+    right, ahead, yaw = motion
+    way = [right * cos + ahead * sin, ahead * cos - right * sin, yaw]
     return np.asarray(pose + np.array(way))
 
 
 def _between(pose: FloatArray, later: FloatArray) -> FloatArray:
     """(3,) the motion that leads from `pose` (3,) to `later` (3,)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y, turn = later - pose
-    return np.array([x * cos - y * sin, x * sin + y * cos, turn])
+    x, y, yaw = later - pose
+    return np.array([x * cos - y * sin, x * sin + y * cos, yaw])

@@ -13,7 +13,7 @@ from sonarrec.arrays import FloatArray, FloatImage
 
 
 @dataclass(frozen=True, slots=True)
-class CellPlaces:
+class CellGrid:
     """The regular grid of slant range (rows) and bearing (columns) of polar pictures.
 
     shape: (rows, columns). slant, bearing: m and rad, of the first row and column. slant_step,
@@ -54,16 +54,16 @@ class MotionGrid:
 
     BLOCKS = (8, 6)  # down, across
     MOST = (0.09, 0.16, math.radians(6.0))  # m to the right, m ahead, rad: to either side
-    FINENESS = (0.01, 0.02)  # m between the grid's shifts; its yaws are two cells apart
+    FINENESS = (0.01, 0.02)  # m between the grid's shifts; its yaws differ by two cells
 
-    def __init__(self, cells: CellPlaces) -> None:
+    def __init__(self, cells: CellGrid) -> None:
         rows, columns = (side // 2 for side in cells.shape)
         self._block = (rows // self.BLOCKS[0], columns // self.BLOCKS[1])
-        right, ahead, turn = (
+        right, ahead, yaw = (
             np.arange(-math.ceil(most / fine), math.ceil(most / fine) + 1) * fine
             for most, fine in zip(self.MOST, (*self.FINENESS, 2 * cells.bearing_step), strict=True)
         )
-        motions = np.stack(np.meshgrid(right, ahead, turn, indexing="ij")).reshape(3, -1, 1)
+        motions = np.stack(np.meshgrid(right, ahead, yaw, indexing="ij")).reshape(3, -1, 1)
         self._motions = motions[..., 0].T
         # Rows and columns of the blocks' middles, in cells of the full resolution.
         middle = [
@@ -87,9 +87,9 @@ class MotionGrid:
         # 0, is appended for shifts beyond the picture.
         high, wide = 2 * most_down + 1, 2 * most_across + 1
         inside = (np.abs(down) <= most_down) & (np.abs(across) <= most_across)
-        place = (down + most_down) * wide + across + most_across
-        place += np.arange(place.shape[1]) * high * wide
-        self._place = np.where(inside, place, place.shape[1] * high * wide).astype(np.int32)
+        index = (down + most_down) * wide + across + most_across
+        index += np.arange(index.shape[1]) * high * wide
+        self._index = np.where(inside, index, index.shape[1] * high * wide).astype(np.int32)
 
     def best(self, before: FloatImage, now: FloatImage) -> FloatArray:
         """(3,) the motion, as Registration.motion, with the largest summed correlation."""
@@ -107,12 +107,12 @@ class MotionGrid:
         spectrum = np.fft.rfft2(windows[:rows, :columns], filled)
         spectrum *= np.fft.rfft2(parts, filled).conj()
         found = np.fft.irfft2(spectrum, filled)[..., : 2 * down + 1, : 2 * across + 1]
-        alike = np.append(found.astype(np.float32).ravel(), np.float32(0))
-        return np.asarray(self._motions[int(alike[self._place].sum(axis=1).argmax())])
+        correlation = np.append(found.astype(np.float32).ravel(), np.float32(0))
+        return np.asarray(self._motions[int(correlation[self._index].sum(axis=1).argmax())])
 
 
 @lru_cache(maxsize=2)
-def motion_grid(cells: CellPlaces) -> MotionGrid:
+def motion_grid(cells: CellGrid) -> MotionGrid:
     """The grid for pictures with these cells.
 
     Cached, since it takes as long to make as ten frames, and many logs come from one sonar.

@@ -10,9 +10,9 @@ from sonarrec.recogniser.motion.image_motion import MIN_MATCH, ImageMotion
 from sonarrec.recogniser.plane import Plane
 from sonarrec.records import Motion
 
-# The pans by the table and by the images are compared where either is at least LEAST_TURN_DEG. A
+# The pans by the table and by the images are compared where either is at least LEAST_PAN_DEG. A
 # note doubts the table if at least LEAST_COMPARED were compared and most of them contradict.
-LEAST_TURN_DEG = 0.3
+LEAST_PAN_DEG = 0.3
 LEAST_COMPARED = 10
 
 
@@ -56,7 +56,7 @@ class Odometry:
         if by_poses is not None:
             pan_deg, match = self._images.pan.step(image)
             larger = max(abs(by_poses.pan_deg), abs(pan_deg))
-            if match >= MIN_MATCH and larger >= LEAST_TURN_DEG:
+            if match >= MIN_MATCH and larger >= LEAST_PAN_DEG:
                 self._compared += 1
                 self._differing += abs(by_poses.pan_deg - pan_deg) > 0.5 * larger
             return by_poses
@@ -72,7 +72,7 @@ class Odometry:
         if self._without_pose and self._span is not None:
             covered, log = (
                 "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in span))
-                for span in (poses.at[[0, -1]], self._span)
+                for span in (poses.time_ns[[0, -1]], self._span)
             )
             diagnostics.problem(
                 f"{poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "

@@ -20,8 +20,8 @@ LEAST_OVERLAP = 0.4  # of two frames, as a share of the field of view
 MOST_SHIFT = int((1 - LEAST_OVERLAP) * BEARINGS)
 CIRCLE = 320  # beams after zero-padding: no shift that is tried wraps round to the other edge
 # Sub-cell rotations are biased low: side-lobe leakage rotates with the sonar. From frame to frame
-# the bias would add up, so rotations are measured from a keyframe, an earlier picture 6 to 12 cells
-# away, as long as it matches.
+# the bias would add up, so rotations are measured from a keyframe, an earlier picture at a
+# distance of 6 to 12 cells, as long as it matches.
 KEYFRAME_CELLS = 12
 LEAST_KEYFRAME_MATCH = 0.5
 KEYFRAME_SIGMA = 0.05  # cells, standard error of rotations from keyframes (simulated slow pans)
@@ -83,18 +83,18 @@ class PanEstimator:
         # Of the last image and the one before; and of that whose pan was last measured.
         self._view: _View | None = None
         self._before: _View | None = None
-        self._turned: _View | None = None
+        self._measured: _View | None = None
         self._heading = 0.0  # deg, sum of the pans since the first image
         # The heading and the view of each keyframe, the older first.
         self._keyframes = deque[tuple[float, _View]](maxlen=2)
 
     def step(self, image: ByteImage) -> tuple[float, float]:
-        """`look` at an image, and `turn`."""
-        self.look(image)
-        return self.turn()
+        """`add_image`, then `rotation`."""
+        self.add_image(image)
+        return self.rotation()
 
-    def look(self, image: ByteImage) -> None:
-        """Take in the next image, a working image."""
+    def add_image(self, image: ByteImage) -> None:
+        """Receive the next image, a working image."""
         polar = cv2.remap(image, *self._map, cv2.INTER_LINEAR).astype(np.float32)
         # What does not move with the floor would bias the pan towards 0: the fall-off with range,
         # which is in the range bins' means, and the beams' gains, which are in the beams' means.
@@ -108,49 +108,50 @@ class PanEstimator:
         self.picture = polar
         self._before, self._view = self._view, _View(polar)
 
-    def turn(self) -> tuple[float, float]:
+    def rotation(self) -> tuple[float, float]:
         """(pan in deg between the last two images, correlation at that pan, 0 to 1).
 
         The pan is positive to the right, so that objects move to the left. (0, 0) after the first
         image and for a blank one.
         """
         before, view = self._before, self._view
-        if before is not self._turned:  # the sonar moved meanwhile
+        if before is not self._measured:  # the sonar moved meanwhile
             self._keyframes.clear()
-        self._turned = view
+        self._measured = view
         if before is None or view is None:
             return 0.0, 0.0
         earlier = [before]
         if self._keyframes and self._keyframes[0][1] is not before:
             earlier.append(self._keyframes[0][1])
-        turns = self._turns(earlier, view)
-        return self._from_keyframe(view, turns), turns[0][1]
+        rotations = self._rotations(earlier, view)
+        return self._from_keyframe(view, rotations), rotations[0][1]
 
-    def _from_keyframe(self, view: _View, turns: Sequence[tuple[float, float]]) -> float:
+    def _from_keyframe(self, view: _View, rotations: Sequence[tuple[float, float]]) -> float:
         """The pan since the last view, measured from a keyframe; that from the last view where none
         matches.
 
-        turns: from the last view and, if it is another, from the older keyframe, as `_turns`.
+        rotations: as `_rotations`, from the last view and, if it is another, from the older
+        keyframe.
         """
-        pan_deg, match = turns[0]
+        pan_deg, match = rotations[0]
         heading = self._heading + pan_deg
         if match < LEAST_KEYFRAME_MATCH:
             self._keyframes.clear()
-        elif len(turns) > 1:
-            at, (turn, alike) = self._keyframes[0][0], turns[1]
-            if alike < LEAST_KEYFRAME_MATCH or abs(at + turn - heading) > self._step_deg:
+        elif len(rotations) > 1:
+            before, (rotation, match) = self._keyframes[0][0], rotations[1]
+            if match < LEAST_KEYFRAME_MATCH or abs(before + rotation - heading) > self._step_deg:
                 self._keyframes.clear()
             else:
-                heading = at + turn
+                heading = before + rotation
         pan_deg, self._heading = heading - self._heading, heading
-        away: float = KEYFRAME_CELLS
+        distance: float = KEYFRAME_CELLS
         if self._keyframes:
-            away = abs(heading - self._keyframes[0][0]) / self._step_deg
-        if away >= KEYFRAME_CELLS / 2 * len(self._keyframes):
+            distance = abs(heading - self._keyframes[0][0]) / self._step_deg
+        if distance >= KEYFRAME_CELLS / 2 * len(self._keyframes):
             self._keyframes.append((heading, view))  # of two, the older goes
         return pan_deg
 
-    def _turns(self, before: Sequence[_View], now: _View) -> list[tuple[float, float]]:
+    def _rotations(self, before: Sequence[_View], now: _View) -> list[tuple[float, float]]:
         """(rotation in deg from an earlier view to this one, correlation there, 0 to 1) of each."""
         # product[s] = sum over cells of now[b] * before[b + s]: s > 0 is a rotation to the right.
         conjugate = now.spectrum.conj()
@@ -158,7 +159,7 @@ class PanEstimator:
         products = CIRCLE * np.fft.ifft(crossed, norm="forward").real[:, self._shift]
         low, high = self._low, self._high
         now_energy = now.energy[high] - now.energy[low]
-        turns = []
+        rotations = []
         for view, product in zip(before, products, strict=True):
             before_energy = view.energy[BEARINGS - low] - view.energy[BEARINGS - high]
             match = product / np.sqrt(np.maximum(now_energy * before_energy, 1e-9))
@@ -168,9 +169,9 @@ class PanEstimator:
             ].tolist()
             bend = left - 2 * middle + right
             part = 0.5 * (left - right) / bend if bend < 0 else 0.0
-            turn = float(self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg
-            turns.append((turn, min(max(middle, 0.0), 1.0)))
-        return turns
+            rotation = float(self._shift[best] + min(max(part, -0.5), 0.5)) * self._step_deg
+            rotations.append((rotation, min(max(middle, 0.0), 1.0)))
+        return rotations
 
 
 def _as_map(column: FloatArray, row: FloatArray) -> tuple[FloatImage, FloatImage]:

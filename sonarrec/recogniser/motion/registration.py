@@ -18,7 +18,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
-from sonarrec.recogniser.motion.motion_grid import CellPlaces
+from sonarrec.recogniser.motion.motion_grid import CellGrid
 from sonarrec.records import Fan
 
 STEPS = 8  # at most
@@ -34,9 +34,9 @@ LEAST_SHARE = 0.02  # least regression slope of one picture on the other
 # Standard deviation of the height's change from frame to frame, m. It moves echoes along the range
 # as surge does, more so the nearer they are.
 HEAVE_M = 0.01
-# deg between the cells of a row that are compared, where a beam covers several. Of the next row
-# those beside are compared, so that all columns count the same.
-APART_DEG = 0.45
+# deg between the cells of a row that are compared, where a beam covers several. In each row they
+# are one column further than in the row before, so that all columns count the same.
+SPACING_DEG = 0.45
 GRAIN = 4.0  # cells in a grain of speckle, which count as one observation
 # (down, across) blocks of a picture. Their residuals count as independent: a block is larger than a
 # grain of speckle, and wider than the leakage between beams.
@@ -99,7 +99,7 @@ class Picture:
 
 
 class FloorRegistration:
-    """Registers polar pictures of (rows, columns) cells. places: the grid of the cells."""
+    """Registers polar pictures of (rows, columns) cells. grid: where the cells lie."""
 
     def __init__(
         self, fan: Fan, range_m: FloatArray, bearing_deg: FloatArray, seen: FloatImage
@@ -110,7 +110,7 @@ class FloorRegistration:
         depth = np.float32(floor_depth(fan))
         slant = range_m.astype(np.float32)[:, None]
         bearing = np.radians(bearing_deg).astype(np.float32)[None]
-        self.places = places = CellPlaces(
+        self.grid = grid = CellGrid(
             (rows, columns),
             slant[0, 0],
             float(slant[1, 0] - slant[0, 0]),
@@ -118,13 +118,13 @@ class FloorRegistration:
             float(bearing[0, 1] - bearing[0, 0]),
             depth,
         )
-        self._cell = np.array([places.slant_step, places.slant_step, places.bearing_step])
+        self._cell = np.array([grid.slant_step, grid.slant_step, grid.bearing_step])
         self._inner = np.asarray(cv2.erode(seen, np.ones((3, 3)), borderValue=0), np.float32)
         # No echo of the floor is nearer than the height, so any distance will do there.
         ground = np.sqrt(np.maximum(slant**2 - depth**2, 0.01 * slant**2))
         # (4, rows, columns) derivatives of a point's row and column by the motion, in cells a metre
         # to the right, a metre ahead, a radian of yaw and a metre of height.
-        down, across = np.float32(1 / places.slant_step), np.float32(1 / places.bearing_step)
+        down, across = np.float32(1 / grid.slant_step), np.float32(1 / grid.bearing_step)
         even, sin, cos = np.ones_like(seen), np.sin(bearing), np.cos(bearing)
         along = down * ground / slant
         of_row = [along * sin, along * cos, 0 * even, -down * depth / slant * even]
@@ -134,7 +134,7 @@ class FloorRegistration:
         self._quick_down = row_by[:3, self._quick, 1:-1].copy()
         self._quick_across = column_by[:3, self._quick, 1:-1].copy()
         # The cells compared, (rows, n): flat indices, positions on the floor (m), derivatives.
-        every = max(1, round(math.radians(APART_DEG) / places.bearing_step))
+        every = max(1, round(math.radians(SPACING_DEG) / grid.bearing_step))
         row, column = np.indices((rows, columns // every))
         self._cells = row * columns + column * every + row % every
         self._grain = GRAIN / every  # of them
@@ -160,7 +160,7 @@ class FloorRegistration:
         last: FloatArray = np.zeros(3)
         later = self._compared(now.layers.reshape(-1, 4).take(self._cells, axis=0))
         for _ in range(STEPS):
-            row, column = self.places.before(self._x, self._y, motion.astype(np.float32))
+            row, column = self.grid.before(self._x, self._y, motion.astype(np.float32))
             moved = np.asarray(cv2.remap(before.layers, column, row, cv2.INTER_LINEAR), np.float32)
             fit = _Fit.of(self._compared(moved, later.shown), later, self._grain)
             if fit is None:
@@ -199,16 +199,16 @@ class FloorRegistration:
         np.multiply(grey, shown, out=compared[4])
         return _Cells(compared, shown)
 
-    def quick(self, before: Picture, now: Picture, turn: float) -> Registration | None:
-        """A single Gauss-Newton step from a yaw of `turn` (rad), for motions of a part of a cell.
+    def quick(self, before: Picture, now: Picture, yaw: float) -> Registration | None:
+        """A single Gauss-Newton step from a yaw (rad), for motions of a part of a cell.
 
         It uses every EVERY-th row, and takes the height as constant. None where the pictures do not
         correlate.
         """
-        shift = np.float32(turn / self.places.bearing_step)
+        shift = np.float32(yaw / self.grid.bearing_step)
         earlier, later = (self._sampled_rows(p.grey) for p in (before, now))
         flat = earlier.reshape(-1, earlier.shape[-1])
-        turned = np.asarray(
+        rotated = np.asarray(
             cv2.warpAffine(
                 flat,
                 np.array([[1, 0, shift], [0, 1, 0]], np.float32),
@@ -217,12 +217,12 @@ class FloorRegistration:
             ),
             np.float32,
         ).reshape(earlier.shape)
-        one, other = turned[1, :, 1:-1], later[1, :, 1:-1]
+        one, other = rotated[1, :, 1:-1], later[1, :, 1:-1]
         power = float(np.vdot(one, one))
         product = float(np.vdot(one, other))
         if product <= LEAST_SHARE * power or power <= 0:
             return None
-        slopes = [self._slope(p) for p in (turned, later)]
+        slopes = [self._slope(p) for p in (rotated, later)]
         share = np.float32(product / power)
         first, second = (s.reshape(3, -1) for s in slopes)
         curvature = (first @ second.T).astype(float) * float(share)
@@ -236,7 +236,7 @@ class FloorRegistration:
         if inverse.diagonal().min() <= 0:
             return None
         rest = inverse @ blocks.sum(axis=1)
-        rest[2] += turn
+        rest[2] += yaw
         match = product / math.sqrt(power * float(np.vdot(other, other)))
         return Registration(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 

@@ -92,12 +92,12 @@ class Mosaic:
         # The picture in whole tiles.
         (column, row), (left, top) = (of_low.tolist() for of_low in np.divmod(low, SIDE))
         columns, rows = math.ceil((left + width) / SIDE), math.ceil((top + height) / SIDE)
-        whole = np.zeros((2, rows * SIDE, columns * SIDE), np.float32)
-        part = whole[:, top : top + height, left : left + width]
+        padded = np.zeros((2, rows * SIDE, columns * SIDE), np.float32)
+        part = padded[:, top : top + height, left : left + width]
         part[0] = cv2.warpAffine(picture, shift, (width, height))
         part[0] *= seen
         part[1] = seen
-        tiles = whole.reshape(2, rows, SIDE, columns, SIDE)
+        tiles = padded.reshape(2, rows, SIDE, columns, SIDE)
         for i in range(rows):
             for j in range(columns):
                 self._tiles[column + j, row + i] += tiles[:, i, :, j]

@@ -13,7 +13,7 @@ from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.recogniser.presets.hindsight import Hindsight
-from sonarrec.recogniser.presets.second_look import SecondLook, looks_again
+from sonarrec.recogniser.presets.second_view import SecondView, has_second_view
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.ring_sizes import RingSizes
@@ -136,8 +136,8 @@ class SideBySide:
         """
         cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
         broken: list[BaseException] = []
-        whole = _until_broken(frames, broken)
-        for frame in self._levels.restored(self._unchanging.filled(whole)):
+        unbroken = _until_broken(frames, broken)
+        for frame in self._levels.restored(self._unchanging.filled(unbroken)):
             if self._stretches.begins(frame.index, frame.timestamp_ns):
                 yield from self.waiting()
                 for stages in self._stages:
@@ -163,7 +163,7 @@ class SideBySide:
                 if preset.hindsight is not None and preset.stages is stages:
                     preset.hindsight.see(tracked[stages], image, candidates)
         best = max((tracked[s].scores.max(initial=0) for s in self._rings), default=0)
-        self.sizes.look(frame, best)
+        self.sizes.inspect(frame, best)
         return tracked
 
     def _after_stage3(self) -> Iterator[FrameResult]:
@@ -236,10 +236,10 @@ def hindsight_of(
     """What revises a preset's results; None if they are final at once."""
     if not config.features.lag_frames:
         return None
-    look = None
-    if looks_again(config) and not isinstance(landmarks, DrawnSet):
-        look = SecondLook(method, config, fan, landmarks, model)
-    return Hindsight(method, config, landmarks, look)
+    view = None
+    if has_second_view(config) and not isinstance(landmarks, DrawnSet):
+        view = SecondView(method, config, fan, landmarks, model)
+    return Hindsight(method, config, landmarks, view)
 
 
 def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:

@@ -1,7 +1,7 @@
 """Restores the grey levels of saturated pictures.
 
 The gain was too high, so that all strong echoes are drawn at the highest level. A ring then stands
-out little from the floor beside it, since both reach that level. But more of the ring's pixels
+out little from the floor around it, since both reach that level. But more of the ring's pixels
 reach it, and their share tells how much brighter the ring is.
 """
 

@@ -19,12 +19,12 @@ from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray, quanti
 from sonarrec.geometry import fan_mask
 from sonarrec.records import Frame
 
-# Only frames with a new view count, called looks. A view is new if the median change of its pixels
-# since the last look exceeds CHANGED of the median difference between neighbouring pixels. A sonar
-# that stands still has one look, since its whole picture may stay the same.
+# Only frames with a new view count. A view is new if the median change of its pixels since the
+# last view exceeds CHANGED of the median difference between neighbouring pixels. A sonar
+# that stands still has one view, since its whole picture may stay the same.
 CHANGED = 0.7
-SAMPLED = 40  # rows, and columns, that are compared to find a look
-JUDGED_AFTER = (8, 16, 64)  # looks after which pixels are judged
+SAMPLED = 40  # rows, and columns, that are compared to find a new view
+JUDGED_AFTER = (8, 16, 64)  # views after which pixels are judged
 # Frames that are read before the first one is yielded; fewer if they are large.
 AHEAD, MOST_BYTES_AHEAD = 40, 2**24
 # A pixel is still if its levels vary by less than STILL of what its surroundings vary by; not 0,
@@ -53,28 +53,28 @@ class Unchanging:
 
     def __init__(self) -> None:
         self.share = 0.0
-        self._looks = 0
-        self._last: npt.NDArray[np.int16] | None = None  # the sampled pixels of the last look
-        self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all looks
+        self._views = 0
+        self._last: npt.NDArray[np.int16] | None = None  # the sampled pixels of the last view
+        self._least: ByteImage = np.empty((0, 0), np.uint8)  # of each pixel, over all views
         self._most: ByteImage = self._least
-        self._lit: ByteImage = self._least  # in how many looks there was an echo
+        self._lit: ByteImage = self._least  # in how many views there was an echo
         self._inside: BoolArray = np.empty((0, 0), bool)  # pixels of the fan
         self._holes: IndexArray = np.empty(0, np.intp)
-        self._beside: IndexArray = self._holes  # the pixel that each is filled from
+        self._sources: IndexArray = self._holes  # the pixel that each is filled from
 
     def filled(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames of a log, with the unchanging ones of their `pixels` filled."""
         frames, waiting = iter(frames), deque[Frame]()
         for frame in frames:
-            self._look(frame)
+            self._use(frame)
             waiting.append(frame)
             ahead = min(AHEAD, MOST_BYTES_AHEAD // frame.pixels.size)
-            if len(waiting) >= ahead or self._looks >= JUDGED_AFTER[1]:
+            if len(waiting) >= ahead or self._views >= JUDGED_AFTER[1]:
                 break
         while waiting:
             yield self._fill(waiting.popleft())
         for frame in frames:
-            self._look(frame)
+            self._use(frame)
             yield self._fill(frame)
 
     def _fill(self, frame: Frame) -> Frame:
@@ -82,13 +82,13 @@ class Unchanging:
             return frame
         pixels = frame.pixels.copy()
         flat = pixels.reshape(-1)
-        flat[self._holes] = flat[self._beside]
+        flat[self._holes] = flat[self._sources]
         return replace(frame, pixels=pixels)
 
-    def _look(self, frame: Frame) -> None:
-        """Use a frame if it is a look; images of another size than the first do not count."""
+    def _use(self, frame: Frame) -> None:
+        """Use a frame if its view is new; images of another size than the first do not count."""
         pixels = frame.pixels
-        if self._looks == JUDGED_AFTER[-1] or (self._looks and pixels.shape != self._least.shape):
+        if self._views == JUDGED_AFTER[-1] or (self._views and pixels.shape != self._least.shape):
             return
         down, across = (max(1, side // SAMPLED) for side in pixels.shape)
         sampled = pixels[::down, ::across].astype(np.int16)
@@ -98,11 +98,11 @@ class Unchanging:
         elif not _changed(self._last, sampled):
             return
         self._last = sampled
-        self._looks += 1
+        self._views += 1
         cv2.min(self._least, pixels, dst=self._least)
         cv2.max(self._most, pixels, dst=self._most)
         cv2.add(self._lit, (pixels > BLACK).view(np.uint8), dst=self._lit)
-        if self._looks in JUDGED_AFTER:
+        if self._views in JUDGED_AFTER:
             if self._inside.shape != pixels.shape:
                 polar = frame.polar is not None
                 self._inside = np.ones(pixels.shape, bool) if polar else fan_mask(frame.fan) > 0
@@ -110,22 +110,22 @@ class Unchanging:
 
     def _judge(self) -> None:
         """Decide which pixels are filled, and from which others."""
-        drawn, away = self._unchanging_pixels()
+        drawn, dark = self._unchanging_pixels()
         if not drawn.any():
             self.share = 0.0
             return
         # A line's outermost pixels are mixed with the floor.
-        holes = (cv2.dilate(drawn.astype(np.uint8), np.ones((3, 3))) > 0) & ~away
-        unseen = (holes | away).astype(np.uint8)
+        holes = (cv2.dilate(drawn.astype(np.uint8), np.ones((3, 3))) > 0) & ~dark
+        unseen = (holes | dark).astype(np.uint8)
         _, nearest = cv2.distanceTransformWithLabels(
             unseen, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
         )
         seen = np.flatnonzero(unseen == 0)
-        place = np.zeros(int(nearest.max()) + 1, np.intp)
-        place[nearest.ravel()[seen]] = seen
+        source = np.zeros(int(nearest.max()) + 1, np.intp)
+        source[nearest.ravel()[seen]] = seen
         self._holes = np.flatnonzero(holes)
-        self._beside = place[nearest.ravel()[self._holes]]
-        self.share = len(self._holes) / max(int(np.count_nonzero(~away)), 1)
+        self._sources = source[nearest.ravel()[self._holes]]
+        self.share = len(self._holes) / max(int(np.count_nonzero(~dark)), 1)
 
     def _unchanging_pixels(self) -> tuple[BoolArray, BoolArray]:
         """(rows, columns) masks of the pixels that are drawn or dead, and of those that are outside
@@ -135,29 +135,29 @@ class Unchanging:
         others = inside & (change > usual / 2)
         usual = _local_mean(change, others)
         judged = inside & (usual > LEAST_USUAL)
-        least = np.float32(STILL if self._looks < JUDGED_AFTER[1] else FAINT) * usual
+        least = np.float32(STILL if self._views < JUDGED_AFTER[1] else FAINT) * usual
         if np.count_nonzero(judged & (change <= least)) < LEAST_SPOT:  # as in most logs
             return np.zeros_like(inside), ~inside
         middle = _local_mean(cv2.addWeighted(self._least, 0.5, self._most, 0.5, 0), others)
         margin = np.float32(MIXED) * usual
         darker, brighter = self._most < middle - margin, self._least > middle + margin
-        lit = _local_mean(self._lit, others) / np.float32(self._looks)
-        judged &= ~(darker & (lit < 1 - CHANCE ** (1 / self._looks)))  # dark by chance
+        lit = _local_mean(self._lit, others) / np.float32(self._views)
+        judged &= ~(darker & (lit < 1 - CHANCE ** (1 / self._views)))  # dark by chance
         still = judged & (change <= np.float32(STILL) * usual)
         still |= judged & brighter & (change <= least)
         wide = np.ones((WIDEST, WIDEST), np.uint8)
         unlit = (~inside | darker).view(np.uint8)
-        away = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
-        still &= ~away
+        outside = ~inside | (cv2.morphologyEx(unlit, cv2.MORPH_OPEN, wide) > 0)
+        still &= ~outside
         if np.count_nonzero(still) < LEAST_SPOT:
-            return np.zeros_like(still), away
-        either = still | ((darker | brighter) & judged & ~away)
+            return np.zeros_like(still), outside
+        either = still | ((darker | brighter) & judged & ~outside)
         count, spot, stats, _ = cv2.connectedComponentsWithStats(either.view(np.uint8))
         size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & darker))
-        whole_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
-        found = (size >= LEAST_SPOT) & ((dark < size / 2) | whole_beam)
+        full_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
+        found = (size >= LEAST_SPOT) & ((dark < size / 2) | full_beam)
         found[0] = False  # the pixels that are in no spot
-        return found[spot], away
+        return found[spot], outside
 
 
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
@@ -180,9 +180,9 @@ def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:
 def _changed(before: npt.NDArray[np.int16], now: npt.NDArray[np.int16]) -> bool:
     """Whether two sampled pictures show different views."""
     seen = (before > 0) & (now > 0)
-    beside = seen[:, 1:] & seen[:, :-1]
-    if not beside.any():
+    both_seen = seen[:, 1:] & seen[:, :-1]
+    if not both_seen.any():
         return False
     change = quantile(np.abs(now - before)[seen], 0.5)
-    texture = quantile(np.abs(now[:, 1:] - now[:, :-1])[beside], 0.5)
+    texture = quantile(np.abs(now[:, 1:] - now[:, :-1])[both_seen], 0.5)
     return bool(change > CHANGED * max(texture, 1.0))

@@ -21,7 +21,7 @@ from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.description import Describer, Description
 from sonarrec.recogniser.stage3.opinions import TrackBelief
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, whole_steps
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rounded_steps
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from sonarrec.records import Groups
 
@@ -30,8 +30,8 @@ from sonarrec.records import Groups
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # Most new tracks are chance and soon gone: one is judged from its second frame on, if there is
 # likelier an object than not. Its picture changes little from frame to frame: once it has more than
-# SETTLED frames, every third is judged, and between them that judgement counts if it was SURE.
-SETTLED, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
+# CONVERGED_FRAMES, every third is judged, and between them that judgement counts if it was SURE.
+CONVERGED_FRAMES, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
 SURE = 0.97  # probability of one ID, or of none: .9 loses a third of the gain (tiny discs)
 # Arcs that something hides are left out where an ID is likely: it has this probability.
 LIKELY = 0.4
@@ -103,7 +103,7 @@ class AppearanceMeasurement:
         """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
-        steps, _ = whole_steps(tracked.sight_deg)
+        steps, _ = rounded_steps(tracked.sight_deg)
         judged, row = self._judged(groups, tracked, evidence, smear, steps)
         probabilities = self._belief(groups, evidence, judged.probabilities[row])
         best, _ = likeliest(probabilities)
@@ -139,7 +139,11 @@ class AppearanceMeasurement:
         ages = zip(evidence.frames.tolist(), tracked.existence.tolist(), strict=True)
         for i, (key, (frames, existence)) in enumerate(zip(keys, ages, strict=True)):
             likely = frames >= LEAST_FRAMES and existence >= LEAST_EXISTENCE
-            wanted = key not in rows or frames <= SETTLED or (frames + key[0]) % JUDGED_EVERY == 0
+            wanted = (
+                key not in rows
+                or frames <= CONVERGED_FRAMES
+                or (frames + key[0]) % JUDGED_EVERY == 0
+            )
             if (likely and wanted) or self._model.every_frame:
                 rows[key] = first + len(due)
                 due.append(i)

@@ -93,8 +93,8 @@ class SymbolFit:
     @property
     def best(self) -> FloatArray:
         """(n, K) the correlation with each ID at its best rotation."""
-        at = self.rotation[:, None]
-        return np.asarray(np.take_along_axis(self.correlation, at, axis=1)[:, 0])
+        index = self.rotation[:, None]
+        return np.asarray(np.take_along_axis(self.correlation, index, axis=1)[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,8 +237,8 @@ class ExpectedSymbols:
         products.inverse[objects] = _steady_inverse(self._of_broad - patterns.T @ patterns)
         power = 1 - (symbols * symbols).sum(axis=0)
         scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
-        whole = np.concatenate([products.ids[objects], values[objects] @ rivals], axis=1)
-        found = np.where(power > LEAST_SHOWN, (whole - of_own[:, first:]) / scale, 0.0)
+        of_all = np.concatenate([products.ids[objects], values[objects] @ rivals], axis=1)
+        found = np.where(power > LEAST_SHOWN, (of_all - of_own[:, first:]) / scale, 0.0)
         ids = ANGLES * self._ids
         products.ids[objects] = found[:, :ids]
         of_rivals = np.where(compared[:, some], found[:, ids:], 0.0)

@@ -27,7 +27,7 @@ OUTER_LINES = 2
 OUTER = (1.12, 1.32)
 
 
-def whole_steps(angle_deg: FloatArray) -> tuple[IntArray, FloatArray]:
+def rounded_steps(angle_deg: FloatArray) -> tuple[IntArray, FloatArray]:
     """Angles of any shape as whole steps, and the remaining degrees, at most half a step."""
     steps = np.rint(angle_deg / STEP_DEG).astype(np.int64)
     return steps, angle_deg - steps * STEP_DEG
@@ -89,9 +89,9 @@ class ShapeSampler:
         radius = self.radii[:, None]
         column = centres[:, 0, None, None] + self._axes[0] * radius * np.cos(angle)
         row = centres[:, 1, None, None] - self._axes[1] * radius * np.sin(angle)
-        at = np.stack([column, row]).astype(np.float32).reshape(2, -1, ANGLES)
-        grey = cv2.remap(image, at[0], at[1], cv2.INTER_LINEAR)
-        seen = cv2.remap(inside, at[0], at[1], cv2.INTER_NEAREST)
+        pixel = np.stack([column, row]).astype(np.float32).reshape(2, -1, ANGLES)
+        grey = cv2.remap(image, pixel[0], pixel[1], cv2.INTER_LINEAR)
+        seen = cv2.remap(inside, pixel[0], pixel[1], cv2.INTER_NEAREST)
         grey = (grey.reshape(size) - mean[:, None, None]) / sigma[:, None, None]
         return grey, seen.reshape(size).astype(bool)
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.recogniser.stage3 import Evidence
-from sonarrec.recogniser.stage3.shape_matrix import ANGLES, whole_steps
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, rounded_steps
 from sonarrec.records import Groups
 
 _T = TypeVar("_T", bound=np.generic)
@@ -65,7 +65,7 @@ class TrackMatrix:
 
         Tracks that are neither in view nor remembered are forgotten.
         """
-        steps, _ = whole_steps(groups.sight_deg)
+        steps, _ = rounded_steps(groups.sight_deg)
         grey, seen = _rotated(grey, steps), _rotated(seen, steps)
         row = {number: i for i, number in enumerate(self._numbers)}
         numbers, remembered = groups.numbers.tolist(), groups.remembered.tolist()

@@ -16,10 +16,10 @@ from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.presets.mosaic import Pose
-from sonarrec.recogniser.presets.second_look import (
+from sonarrec.recogniser.presets.second_view import (
     MOST_STEP_ERROR,
-    SecondLook,
-    looks_again,
+    SecondView,
+    has_second_view,
 )
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.records import FrameResult, Motion
@@ -46,7 +46,7 @@ def frames(n: int, seed: int, *, landmark: bool = True) -> list[ByteImage]:
 
 def looked(images: list[ByteImage], motions: list[Motion | None]) -> list[FrameResult]:
     """The frames' results, none of which has an object before the look."""
-    look = SecondLook("m", OFFLINE, FAN, BASIN, None)
+    look = SecondView("m", OFFLINE, FAN, BASIN, None)
     select = CandidateSelector(OFFLINE.candidates, PLANE, BASIN, 0.4)
     results = [FrameResult(i, i * 10**8, 0, 0, ()) for i in range(len(images))]
     for i, (image, motion) in enumerate(zip(images, motions, strict=True)):
@@ -56,9 +56,9 @@ def looked(images: list[ByteImage], motions: list[Motion | None]) -> list[FrameR
 
 
 @pytest.mark.parametrize("preset_name", ["default", "paper"])
-def test_only_what_waits_for_later_frames_looks_again(preset_name: str) -> None:
-    assert looks_again(OFFLINE)
-    assert not looks_again(preset(preset_name))
+def test_only_what_waits_for_later_frames_has_second_view(preset_name: str) -> None:
+    assert has_second_view(OFFLINE)
+    assert not has_second_view(preset(preset_name))
 
 
 def test_a_landmark_on_which_no_track_is_is_found_in_the_mean() -> None:

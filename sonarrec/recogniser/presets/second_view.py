@@ -1,4 +1,4 @@
-"""The `offline` preset's second look, at the mean of many frames, in which speckle is averaged.
+"""The `offline` preset's second view: the mean of many frames, in which speckle is averaged.
 
 The sonar's motion says where each frame lies on the floor. Stage 1 searches their mean for discs,
 and finds some that no single frame shows. Stage 3 judges these, and its beliefs are joined to the
@@ -28,16 +28,16 @@ from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, ShapeSampler
 from sonarrec.records import Estimate, Fan, FrameResult, Groups, Motion, Selection
 
 MOST_STEP_ERROR = 0.25  # disc radii; a motion with a larger standard error begins a new mean
-OLD_SHARE = 0.5  # weight of the frames of a look in the next
+OLD_SHARE = 0.5  # weight of the frames of a view in the next
 LEAST_FRAMES = 12  # in view of a disc; with fewer, a track knows as much as the mean
 LEAST_SCORE = 0.25  # of a candidate: the mean is less noisy than a frame, so a low score will do
 SIGMA_LEVELS, MIDDLE_LEVEL = 24, 128  # grey levels of the mean: a frame's deviation, and its mean
 SAME_DISC = 0.25  # disc diameters up to which a track is of a disc
 LEAST_SHARE = 0.5  # of a disc in view, from which on a frame shows it
 FIRST_NUMBER = 1_000_000  # of the objects that have no track; tracks are fewer
-# The joint belief is the product of these powers of the track's belief and the look's. They sum to
+# The joint belief is the product of these powers of the track's belief and the view's. They sum to
 # more than 1 as in TrackBelief. A disc without a track needs more belief. Tuning seeds.
-TRACK_EXPONENT, LOOK_EXPONENT, DECLARE_ALONE = 0.575, 0.575, 0.9
+TRACK_EXPONENT, VIEW_EXPONENT, DECLARE_ALONE = 0.575, 0.575, 0.9
 LEAST_BELIEF = 1e-4  # in the product
 EXISTENCE = 0.99  # probability that a candidate of the mean exists
 SPREAD = 0.02  # disc diameters: standard deviation of its position
@@ -67,20 +67,20 @@ class Disc:
 
 
 @dataclass(slots=True)
-class _HalfLook:
-    """The frames between two looks, which take part in both, and the discs of the latest look."""
+class _HalfView:
+    """The frames between two views, which are part of both, and the discs of the latest view."""
 
     poses: list[Pose] = field(default_factory=list)
     discs: list[Disc] = field(default_factory=list)
 
 
-def looks_again(config: Config) -> bool:
-    """Whether this method's results wait for a second look."""
+def has_second_view(config: Config) -> bool:
+    """Whether this method's results wait for a second view."""
     track = config.features.measurement == "track" and config.candidates.detector == "ring"
     return config.features.lag_frames > 0 and track and config.candidates.plane == "floor"
 
 
-class SecondLook:
+class SecondView:
     """The mean of the last frames of one log, and the discs in it, for one method's results."""
 
     def __init__(
@@ -91,7 +91,7 @@ class SecondLook:
         landmarks: LandmarkSet,
         model: Classifier | None,
     ) -> None:
-        """config: one for which `looks_again`. model: by default the built-in one."""
+        """config: one for which `has_second_view`. model: by default the built-in one."""
         select, features = config.candidates, config.features
         self._method, self._features, self._landmarks = method, features, landmarks
         self._select = replace(select, threshold=LEAST_SCORE)
@@ -112,11 +112,11 @@ class SecondLook:
         )
         middle_m = (fan.range_min_m + fan.range_max_m) / 2
         self._error_of = np.array([math.radians(1) * middle_m, 1, 1]) / landmarks.radius_m
-        self._half = max(features.lag_frames // 2, 1)  # frames between two looks
+        self._half = max(features.lag_frames // 2, 1)  # frames between two views
         self._mosaic, self._pose = Mosaic(), Pose()
-        self._now, self._before = _HalfLook(), _HalfLook()
-        # The pose and the half look of each frame whose result is not final, by its number.
-        self._seen: dict[int, tuple[Pose, _HalfLook]] = {}
+        self._now, self._before = _HalfView(), _HalfView()
+        # The pose and the half view of each frame whose result is not final, by its number.
+        self._seen: dict[int, tuple[Pose, _HalfView]] = {}
         self._numbers = FIRST_NUMBER
         self._judged = 0
 
@@ -132,18 +132,18 @@ class SecondLook:
         picture *= self._inside
         self._mosaic.add(picture, self._inside, self._pose.to_mosaic(self._plane.apex))
         if len(self._now.poses) == self._half:
-            self._look()
+            self._judge()
 
     def finish(self) -> None:
-        """Look at the remaining frames: no more follow."""
+        """Judge the remaining frames: no more follow."""
         if self._now.poses:
-            self._look()
+            self._judge()
 
     def begin_stretch(self) -> None:
         """Begin a new mean."""
         self.finish()
         self._mosaic.clear()
-        self._pose, self._now, self._before = Pose(), _HalfLook(), _HalfLook()
+        self._pose, self._now, self._before = Pose(), _HalfView(), _HalfView()
 
     def _move(self, motion: Motion | None) -> None:
         """Update the pose by a motion; where that is too uncertain, begin a new mean."""
@@ -155,12 +155,12 @@ class SecondLook:
         else:
             self._pose = self._pose.after(motion, self._pixel_m)
 
-    def _look(self) -> None:
+    def _judge(self) -> None:
         """Search the mean for discs and judge them, for the frames of both halves."""
         margin = min(math.ceil(3 * self._plane.axes[0]), SIDE)
         found = [disc for block in self._mosaic.blocks(margin) for disc in self._discs(block)]
         self._now.discs = self._before.discs = found
-        self._before, self._now = self._now, _HalfLook()
+        self._before, self._now = self._now, _HalfView()
         self._mosaic.fade(OLD_SHARE)
 
     def _discs(self, block: Block) -> list[Disc]:
@@ -236,7 +236,7 @@ class SecondLook:
         return np.where(within, self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
 
     def _number(self, position: FloatArray) -> int:
-        """The number of a disc's object: that of the last look's disc there, else a new one."""
+        """The number of a disc's object: that of the last view's disc there, else a new one."""
         for disc in self._before.discs:
             if math.dist(disc.position, position) <= 2 * SAME_DISC * self._plane.axes[0]:
                 return disc.number
@@ -244,7 +244,7 @@ class SecondLook:
         return self._numbers
 
     def revised(self, result: FrameResult) -> FrameResult:
-        """A past result with the beliefs of the latest look at its frame."""
+        """A past result with the beliefs of the latest view of its frame."""
         pose, half = self._seen.pop(result.index)
         if not half.discs:
             return result
@@ -271,11 +271,11 @@ class SecondLook:
     def _join(
         self, estimates: list[Estimate], both: Sequence[tuple[int, Disc]], pose: Pose
     ) -> None:
-        """Give tracks the joint belief of track and look. both: index of an estimate, its disc."""
+        """Give tracks the joint belief of track and view. both: index of an estimate, its disc."""
         of_tracks = np.stack([estimates[i].probabilities for i, _ in both])
-        of_look = np.stack([disc.probabilities for _, disc in both])
+        of_view = np.stack([disc.probabilities for _, disc in both])
         pool = np.maximum(of_tracks, LEAST_BELIEF) ** TRACK_EXPONENT
-        pool *= np.maximum(of_look, LEAST_BELIEF) ** LOOK_EXPONENT
+        pool *= np.maximum(of_view, LEAST_BELIEF) ** VIEW_EXPONENT
         beliefs = pool / pool.sum(axis=1, keepdims=True)
         best, scores = likeliest(beliefs)
         claimed = declared(scores, self._features.declare)
