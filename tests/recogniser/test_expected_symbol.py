@@ -190,3 +190,17 @@ def test_a_broad_patch_is_no_symbol_and_a_symbol_under_it_is_one(way: float) -> 
         found = correlation(smeared_disc(k, 9, 0.1) + 0.5 * patch, 0.1)
         assert found.max() > 0.85
         assert found.max(axis=0).argmax() == k
+
+
+@pytest.mark.parametrize("hidden", [slice(5, 6), slice(0, 5), slice(1, 6)])
+def test_a_symbol_without_its_ring_or_within_its_ring_alone_has_an_answer(hidden: slice) -> None:
+    """All cells of a free level are hidden: nothing of the noise's precision tells them apart."""
+    lines = np.zeros((len(EXPECTED.lines), ANGLES), bool)
+    lines[hidden] = True
+    seen = np.ones((LINES, ANGLES), bool)
+    seen[EXPECTED.lines] = ~lines
+    found = fit(smeared_disc(2, 7, 0.05), 0.05, seen)
+    assert np.isfinite([found.best, found.structure]).all()
+    if hidden.start == 5:
+        assert found.correlation[0].max(axis=0).argmax() == 2
+        assert found.rotation[0, 2] in (6, 7, 8)
