@@ -42,7 +42,7 @@ MOST_LINES = {
     "mapping": 1349,
     "overlays": 548,
     "readers": 5878,
-    "recogniser": 6959,
+    "recogniser": 6978,
     "reports": 2116,
     "results": 1860,
     "runs": 1766,
