@@ -12,7 +12,7 @@ from sonarrec.recogniser.stage3.expected_symbol import SymbolFit, expected_symbo
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
 
 # Levels are in standard deviations of the grey levels around the object (see ShapeSampler), or
-# divided by the ring's contrast over the gap ("share"). More levels that are not divided helped in
+# divided by the ring's contrast over the gap ("share"). Other levels, if not divided, helped in
 # kinds of world like those learned from, and did harm in others.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
