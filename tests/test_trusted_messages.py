@@ -381,7 +381,7 @@ def test_no_other_radius_is_sought_where_stage_1_found_clear_rings(here: Path) -
         sizes = RingSizes(_set("own.toml"))
         with open_log(SAMPLES / "pan") as opened:
             for n, frame in enumerate(opened):
-                sizes.look(frame, contrast=0.4 + 0.5 * (n % every == 0))
+                sizes.inspect(frame, contrast=0.4 + 0.5 * (n % every == 0))
         assert (sizes.other() is not None) == doubted
     assert here.is_dir()
 
