@@ -374,6 +374,18 @@ def test_a_radius_that_is_clearly_wrong_is_told(here: Path, log: str) -> None:
     assert here.is_dir()
 
 
+def test_no_other_radius_is_sought_where_stage_1_found_clear_rings(here: Path) -> None:
+    """In a quarter of the frames; and in fewer it is."""
+    Path("own.toml").write_text(SET.format(radius=0.075))
+    for every, doubted in ((3, False), (6, True)):
+        sizes = RingSizes(_set("own.toml"))
+        with open_log(SAMPLES / "pan") as opened:
+            for n, frame in enumerate(opened):
+                sizes.inspect(frame, contrast=0.4 + 0.5 * (n % every == 0))
+        assert (sizes.other() is not None) == doubted
+    assert here.is_dir()
+
+
 def _set(path: str) -> LandmarkSet:
     from sonarrec.landmarks import load_landmarks
 

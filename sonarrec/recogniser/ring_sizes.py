@@ -25,6 +25,8 @@ LEAST_KEPT = 3
 STEPS = 1.3 * 1.14 ** np.arange(7)
 FACTORS = np.concatenate([1 / STEPS[::-1], STEPS])
 """Of the radius. Steps of a seventh, since a ring is a fifth of its radius wide."""
+RADIUS_PX = 10.0
+"""Of a disc in the pictures that are searched; stage 1 uses larger ones, and more memory."""
 SHARE = 0.75
 """The best ring of a frame counts, and of the frames the best quarter: others may show none."""
 # Measured on the recordings and the sample logs: rings of landmarks have a contrast of .63 or more
@@ -39,10 +41,14 @@ class RingSizes:
     def __init__(self, landmarks: LandmarkSet) -> None:
         self._landmarks = landmarks
         self._kept: list[Frame] = []
-        self._seen, self._every = 0, 1
+        self._seen, self._every, self._fitting = 0, 1, 0
 
-    def inspect(self, frame: Frame) -> None:
-        """Keep a frame out of so many that no more than KEPT are held."""
+    def inspect(self, frame: Frame, contrast: float = 0.0) -> None:
+        """Keep a frame out of so many that no more than KEPT are held.
+
+        contrast: the best score of its candidates, if stage 1 searched for rings.
+        """
+        self._fitting += contrast * BETTER >= 1
         if self._seen % self._every == 0 and not isinstance(self._landmarks, DrawnSet):
             self._kept.append(frame)
             if len(self._kept) > KEPT:
@@ -53,7 +59,9 @@ class RingSizes:
     def other(self) -> float | None:
         """The radius, m, at which rings are clearly there and much clearer than at that of the
         landmarks; None if there is none."""
-        if len(self._kept) < LEAST_KEPT or (own := self._contrast(1.0)) * BETTER >= 1:
+        if self._fitting >= (1 - SHARE) * self._seen or len(self._kept) < LEAST_KEPT:
+            return None  # as in most logs: that costs nothing
+        if (own := self._contrast(1.0)) * BETTER >= 1:
             return None
         found = {factor: self._contrast(factor) for factor in FACTORS.tolist()}
         best = max(found, key=lambda factor: found[factor])
@@ -66,7 +74,7 @@ class RingSizes:
         first, config = self._kept[0], Candidates()
         landmarks = replace(self._landmarks, radius_m=factor * self._landmarks.radius_m)
         try:
-            plane = FloorPlane(first.fan, landmarks.radius_m, config.disc_radius_px)
+            plane = FloorPlane(first.fan, landmarks.radius_m, RADIUS_PX)
         except SonarrecError:  # no floor in the window
             return 0.0
         select = CandidateSelector(config, plane, landmarks, usual_beam_width_deg(first.fan))

@@ -15,7 +15,6 @@ from sonarrec.errors import SonarrecError, command_line, is_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.readers.plausible import Plausibility
-from sonarrec.recogniser.ring_sizes import RingSizes
 from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of, rerun_left
 from sonarrec.results.run_file import existing_results, rerun
@@ -129,10 +128,10 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 )
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        plausibility, sizes = Plausibility(), RingSizes(run.landmarks)
+        plausibility = Plausibility()
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
-            _recognise(run, writer, (plausibility, sizes), observe)
+            _recognise(run, writer, plausibility, observe)
             run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
@@ -148,29 +147,23 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 problems=problems,
             ),
         )
-        notes = _notes(
-            job, run, plausibility, sizes, about_folder, found=any(outcome.passes.values())
-        )
+        notes = _notes(job, run, plausibility, about_folder, found=any(outcome.passes.values()))
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
 def _recognise(
     run: PreparedRun,
     writer: ResultsWriter,
-    checks: Sequence[Plausibility | RingSizes],
+    plausibility: Plausibility,
     observe: Observe | None,
 ) -> None:
-    """Recognise every frame and write the results, also those waiting when the run is stopped.
-
-    checks: see every frame.
-    """
+    """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = dict[int, Stamps]()  # of frames that are not written yet, in their order
 
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            for check in checks:
-                check.inspect(frame)
+            plausibility.inspect(frame)
             yield frame
 
     try:
@@ -192,7 +185,6 @@ def _notes(
     job: Job,
     run: PreparedRun,
     plausibility: Plausibility,
-    sizes: RingSizes,
     about_folder: Sequence[str],
     *,
     found: bool,
@@ -206,7 +198,7 @@ def _notes(
     doubts = plausibility.contradictions(log.sonar)
     if doubts:
         note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
-    elif other := sizes.other():
+    elif other := run.recogniser.sizes.other():
         note(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
             f"{run.landmarks.name}, {run.landmarks.radius_m:g} m; check radius_m and the range "

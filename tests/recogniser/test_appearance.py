@@ -203,19 +203,15 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     )
     named = dict(zip(FEATURES, found.features[0, landmark - 1], strict=True))
     expected = {
-        "ring_over_floor": 2,
-        "strongest_dark": 0,
-        # The gap is dark all round: counted from what lies beside it the symbol is the same.
-        "local_weakest_bright": 3,
-        "local_strongest_dark": 0,
-        # The edges are sharp, and two steps to either side of them the sectors are themselves.
-        "edge": 3,
-        "weakest_edge": 3,
-        "weakest_ring": 2 - 0.5 * (-1 + 0),
-        "weakest_ring_by_frames": (2 - 0.5 * (-1 + 0)) * math.log(8),
+        # The ring is 3 over the gap. The edges are sharp, and two steps to either side of
+        # them the sectors are themselves.
+        "weakest_edge_share": 1,
+        "weakest_bright": 3,
+        "weakest_bright_half_share": 1,
+        "strongest_dark_half_share": 0,
+        "weakest_ring_share": (2 - 0.5 * (-1 + 0)) / 3,
+        "weakest_ring_over_gap": 3,
         "ring_texture_share": 0,
-        "strongest_dark_over_floor": -1,
-        "log_frames": math.log(8),
         "existence": math.log(9),
     }
     for name, value in expected.items():
@@ -226,9 +222,8 @@ def test_the_features_of_a_perfect_landmark_by_hand(landmark):
     count = np.full((1, LINES, ANGLES), 8.0)
     smeared = DESCRIBE(seen[None] / 9, count, SURE[:1], SHARP[:1]).features[0, landmark - 1]
     assert smeared[FEATURES.index("correlation")] > 0.95
-    assert named["step"] == pytest.approx(3, abs=0.3)
-    assert named["dark_over_gap"] == pytest.approx(0, abs=0.2)
-    assert named["bright_over_ring"] == pytest.approx(0, abs=0.2)
+    assert named["weakest_line_step_share"] == pytest.approx(1, abs=0.1)
+    assert named["bright_over_ring_share"] == pytest.approx(0, abs=0.07)
     best = found.features[0, :, FEATURES.index("correlation")].argmax()
     assert best == landmark - 1
     turn = found.rotation[0, landmark - 1] % (18 if landmark == 2 else 36)
@@ -243,20 +238,36 @@ def described(matrix: np.ndarray, landmark: int = 1) -> dict[str, float]:
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
 def test_light_that_lies_over_symbol_and_gap_alike_leaves_the_local_features(landmark):
-    """A late echo fills a dark sector by as much as a bright one exceeds it, and fades round it."""
+    """A late echo that fills a dark sector, and fades round it."""
     clear = drawn_matrix(landmark, 0)
     dark = (31.5 - np.arange(ANGLES)) * STEP  # from the middle of the last sector, dark in all IDs
     hazy = clear + 1.5 * (1 + np.cos(dark))
     before, after = (described(matrix, landmark) for matrix in (clear, hazy))
-    for name in ("local_weakest_bright", "local_strongest_dark"):
+    for name in ("weakest_bright", "weakest_bright_half_share", "strongest_dark_half_share"):
         assert after[name] == pytest.approx(before[name], abs=1e-9), name
-    assert after["strongest_dark"] > before["strongest_dark"] + 1  # nearly 1.5 over the mean gap
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    scale=st.floats(1, 20),
+    level=st.floats(-100, 100),
+    id_=st.integers(1, 4),
+)
+def test_neither_contrast_nor_brightness_of_a_picture_matters(seed, scale, level, id_):
+    """Grey levels depend on the sonar's gain, and on what else is in view."""
+    picture = drawn_matrix(id_, 0) + np.random.default_rng(seed).normal(0, 0.5, (1, LINES, ANGLES))
+    before, after = (described(matrix, id_) for matrix in (picture, scale * picture + level))
+    for name in ("weakest_bright", "weakest_ring_over_gap"):  # in grey levels
+        before[name] = float(np.clip(scale * before[name], -LIMIT, LIMIT))
+    assert after == pytest.approx(before, abs=1e-6)
 
 
 def test_one_missing_ring_quarter_shows_in_the_weakest():
     matrix = drawn_matrix(1, 0)
     matrix[:, SAMPLER.bands.ring, 20:29] = 0.0  # as dark as the floor
-    assert described(matrix)["weakest_ring"] == pytest.approx(0 - 0.5 * (-1 + 0))
+    contrast = 3 - 2 * 9 / ANGLES  # of the whole ring over the gap
+    assert described(matrix)["weakest_ring_share"] == pytest.approx((0 - 0.5 * (-1 + 0)) / contrast)
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
@@ -379,8 +390,8 @@ def test_a_file_that_is_no_model_is_told_in_one_line(tmp_path, text, told):
 def test_knots_that_do_not_rise_are_refused(tmp_path):
     text = built_in_model().as_toml()
     path = tmp_path / "model.toml"
-    path.write_text(text.replace("[step]\nat = [", "[step]\nat = [99.0, "))
-    with pytest.raises(UsageError, match=r"\[step\]"):
+    path.write_text(text.replace("[structure]\nat = [", "[structure]\nat = [99.0, "))
+    with pytest.raises(UsageError, match=r"\[structure\]"):
         read_model(path)
 
 

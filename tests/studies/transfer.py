@@ -34,12 +34,11 @@ FALSE_RATES = (0.001, 0.002, 0.004)  # false claims to a track in a frame
 WITHOUT: dict[str, tuple[str, ...]] = {
     "all": (),
     "correlated noise alone": (),
-    "without texture": ("texture", "texture_share"),
-    "without edges": ("edge", "weakest_edge"),
+    "without single lines": ("weakest_line_step_share",),
     "without halves of sectors": ("weakest_bright_half_share", "strongest_dark_half_share"),
     "without rivals": ("rival_misfit", "independent_rival_misfit"),
     "without structure": ("structure", "independent_structure"),
-    "without the ring over the floor": ("ring_over_floor",),
+    "without the ring": ("bright_over_ring_share", "weakest_ring_share", "ring_texture_share"),
 }
 """Candidates, by the features that they lack."""
 ALONE = {"correlated noise alone": np.array([1.0, 0.0, 0.0])}

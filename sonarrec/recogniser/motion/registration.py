@@ -16,14 +16,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, FloatImage
+from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.geometry import floor_depth
 from sonarrec.recogniser.motion.motion_grid import CellGrid
 from sonarrec.records import Fan
 
 STEPS = 8  # at most
 # The motion is found by a step of less than SMALL standard errors, or than CONVERGED (m, m, rad).
-SMALL, CONVERGED = 0.3, (3e-4, 3e-4, 2e-4)
+SMALL, CONVERGED = 0.4, (3e-4, 3e-4, 2e-4)
+DAMPING = 0.85  # of steps, which are a sixth too long (median of a simulated vehicle's first ones)
 # Cells: by the curvature no longer step is taken, since it holds within a grain of speckle or two.
 LONGEST = 3.0
 FARTHEST = (0.1, 0.1, 0.12)  # m, m, rad from the start; beyond it the registration has failed
@@ -168,8 +169,9 @@ class FloorRegistration:
             is_near = step is not None and self.cells(step) <= LONGEST
             if step is None or not is_near:
                 step = fit.gauss_newton()
-            # Differences of whole cells make the slopes too small: where a step went too far, the
-            # one back must not.
+            # Differences of whole cells make the slopes too small, and the steps too long. Where a
+            # step went too far, the one back must not.
+            step *= DAMPING
             if np.dot(last / self._cell, step / self._cell) < 0:
                 step /= 2
             motion += step
@@ -180,18 +182,22 @@ class FloorRegistration:
                 return Registration(motion, fit.covariance(), fit.match)
         return None
 
-    def _compared(self, layers: FloatImage, within: BoolArray | bool = True) -> _Cells:
+    def _compared(self, layers: FloatImage, within: FloatImage | None = None) -> _Cells:
         """layers: (rows, n, 4), as Picture.layers, at the cells compared. within: (rows, n)."""
         grey, down, across, inner = cv2.split(layers)
-        shown = np.asarray((inner > 0.99) & within)
-        down, across = down * shown, across * shown
-        slopes = np.empty((4, *shown.shape), np.float32)
+        shown = np.asarray(cv2.threshold(inner, 0.99, 1, cv2.THRESH_BINARY)[1], np.float32)
+        if within is not None:
+            shown *= within
+        down *= shown
+        across *= shown
+        compared = np.empty((5, *shown.shape), np.float32)
         # A yaw moves no row, and a height no column.
-        np.multiply(self._down[:2], down, out=slopes[:2])
-        slopes[:2] += self._across[:2] * across
-        np.multiply(self._across[2], across, out=slopes[2])
-        np.multiply(self._down[3], down, out=slopes[3])
-        return _Cells(np.asarray(grey * shown, np.float32), slopes, shown)
+        np.multiply(self._down[:2], down, out=compared[:2])
+        compared[:2] += self._across[:2] * across
+        np.multiply(self._across[2], across, out=compared[2])
+        np.multiply(self._down[3], down, out=compared[3])
+        np.multiply(grey, shown, out=compared[4])
+        return _Cells(compared, shown)
 
     def quick(self, before: Picture, now: Picture, yaw: float) -> Registration | None:
         """A single Gauss-Newton step from a yaw (rad), for motions of a part of a cell.
@@ -250,27 +256,26 @@ class FloorRegistration:
 
 
 class _Cells(NamedTuple):
-    """The cells of a picture that are compared, (rows, n), 0 where they are not shown."""
+    """The cells of a picture that are compared, 0 where they are not shown."""
 
-    grey: FloatImage
-    slopes: FloatImage
-    """(4, rows, n) derivatives by the motion and the height."""
-    shown: BoolArray
+    layers: FloatImage
+    """(5, rows, n) derivatives by the motion and the height; grey."""
+    shown: FloatImage
+    """(rows, n) 1 or 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """Two pictures, each scaled to a power of 1, compared under one motion.
 
-    slopes: of the earlier and of the later one, (4, rows, n) derivatives by the motion and the
-    height. residuals: (rows, n) of each on the other, 0 where not both are shown. score: (4,) mean
-    of both products of slopes and residual. curvature: (4, 4) the slopes of one picture times those
-    of the other, since a picture's product with itself would include its noise. noise: variance of
-    the score, as a share of the curvature.
+    pictures: the earlier and the later one. scales: of each. score: (4,) mean of both products of
+    slopes and residual. curvature: (4, 4) the slopes of one picture times those of the other, since
+    a picture's product with itself would include its noise. noise: variance of the score, as a
+    share of the curvature.
     """
 
-    slopes: tuple[FloatImage, FloatImage]
-    residuals: tuple[FloatImage, FloatImage]
+    pictures: tuple[_Cells, _Cells]
+    scales: tuple[np.float32, np.float32]
     score: FloatArray
     curvature: FloatArray
     noise: float
@@ -282,22 +287,22 @@ class _Fit:
 
         earlier: shown only where the later one is. grain: compared cells in a grain of speckle.
         """
-        one, other = earlier.grey, np.asarray(later.grey * earlier.shown)
-        powers = float(np.vdot(one, one)), float(np.vdot(other, other))
-        product = float(np.vdot(one, other))
+        one, other = earlier.layers[4:], later.layers[4:] * earlier.shown
+        both = _products(earlier.layers, later.layers)  # (5, 5), of cells that both show
+        own = _products(earlier.layers, one)[:, 0], _products(later.layers, other)[:, 0]
+        powers, product = (float(own[0][4]), float(own[1][4])), float(both[4, 4])
         if product <= LEAST_SHARE * max(powers) or product <= 0:
             return None
         scales = np.float32(1 / math.sqrt(powers[0])), np.float32(1 / math.sqrt(powers[1]))
-        match = min(float(product * scales[0] * scales[1]), 1.0)
-        one, other = scales[0] * one, scales[1] * other
-        slopes = scales[0] * earlier.slopes, scales[1] * later.slopes
-        residuals = other - match * one, match * other - one
-        scores = [_products(a, b[None])[:, 0] for a, b in zip(slopes, residuals, strict=True)]
-        curvature = _products(*slopes)
-        curvature = (curvature + curvature.T) / 2
+        first, second = map(float, scales)
+        match = min(product * first * second, 1.0)
+        # Slopes times residuals: of the later picture on the earlier one, and the other way round.
+        score = first * (second * both[:4, 4] - match * first * own[0][:4])
+        score += second * (match * second * own[1][:4] - first * both[4, :4])
+        curvature = first * second * (both[:4, :4] + both[:4, :4].T) / 2
         noise = grain * (1 / match - match) / int(np.count_nonzero(earlier.shown))
         curvature[3, 3] += noise / HEAVE_M**2
-        return cls(slopes, residuals, (scores[0] + scores[1]) / 2, curvature, noise, match)
+        return cls((earlier, later), scales, score / 2, curvature, noise, match)
 
     def newton(self) -> FloatArray | None:
         """(3,) the step of the motion by the curvature; None where that is not of a minimum."""
@@ -307,7 +312,8 @@ class _Fit:
 
     def gauss_newton(self) -> FloatArray:
         """(3,) the step by the earlier picture's slopes alone, whose noise makes it too short."""
-        normal = self.match * _products(self.slopes[0], self.slopes[0])
+        slopes = self.scales[0] * self.pictures[0].layers[:4]
+        normal = self.match * _products(slopes, slopes)
         normal[3, 3] += self.noise / HEAVE_M**2
         normal[range(3), range(3)] += 1e-9
         return np.asarray(np.linalg.solve(normal, self.score)[:3])
@@ -322,8 +328,12 @@ class _Fit:
 
         The scatter is the covariance of the blocks' scores.
         """
-        first, second = (a * b for a, b in zip(self.slopes, self.residuals, strict=True))
-        blocks = _in_blocks(first + second, BLOCKS) / 2
+        (earlier, later), (first, second) = self.pictures, self.scales
+        one, other = first * earlier.layers[4], second * later.layers[4] * earlier.shown
+        match = np.float32(self.match)
+        scores = earlier.layers[:4] * (first * (other - match * one))
+        scores += later.layers[:4] * (second * (match * other - one))
+        blocks = _in_blocks(scores, BLOCKS) / 2
         scatter = blocks @ blocks.T
         scatter[3, 3] += (self.noise / HEAVE_M) ** 2
         inverse = np.linalg.inv(self.curvature)

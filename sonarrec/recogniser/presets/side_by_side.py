@@ -16,6 +16,7 @@ from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.presets.second_view import SecondView, has_second_view
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
+from sonarrec.recogniser.ring_sizes import RingSizes
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
 from sonarrec.records import Fan, Frame, FrameResult
@@ -79,7 +80,7 @@ class SideBySide:
     the preset's name appended. Presets with the same candidates and the same SMI share one `smi`,
     named after the first of them. Results wait for the longest lag.
 
-    tracking: the names of the framework's methods. methods: all names.
+    tracking: the names of the framework's methods. methods: all names. sizes: has seen all frames.
     """
 
     def __init__(
@@ -115,6 +116,7 @@ class SideBySide:
             self._presets.append(preset)
         self.tracking = [preset.method for preset in self._presets]
         self._stages = list(by_stages.values())
+        self._rings = [s for c, s in by_stages.items() if c.candidates.detector == "ring"]
         self._lag = max(config.features.lag_frames for config in configs)
         self._tracked: list[dict[ThreeStages, Tracked]] = []  # frames that wait for stage 3
         # Ctrl-C may come at any moment; `waiting` goes on from there. An element is the results of
@@ -123,6 +125,7 @@ class SideBySide:
         self._pending: deque[list[FrameResult]] = deque()  # which the presets have learned
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
+        self.sizes = RingSizes(landmarks)
         self._stretches = Stretches()
 
     def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
@@ -159,6 +162,8 @@ class SideBySide:
             for preset in self._presets:
                 if preset.hindsight is not None and preset.stages is stages:
                     preset.hindsight.see(tracked[stages], image, candidates)
+        best = max((tracked[s].scores.max(initial=0) for s in self._rings), default=0)
+        self.sizes.inspect(frame, best)
         return tracked
 
     def _after_stage3(self) -> Iterator[FrameResult]:

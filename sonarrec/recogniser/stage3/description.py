@@ -11,38 +11,29 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3.expected_symbol import SymbolFit, expected_symbols
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
 
-# Levels are in standard deviations of the grey levels around the object (see ShapeSampler). Those
-# named "local" are relative to the gap in the same direction, which late echoes and uneven
-# illumination raise as much as the symbol. The one named "over_floor" is relative to the floor just
-# outside in the same direction.
+# Levels are in standard deviations of the grey levels around the object (see ShapeSampler), or
+# divided by the ring's contrast over the gap ("share"). More levels that are not divided helped in
+# kinds of world like those learned from, and did harm in others.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     # Log of the share of variation that the ID leaves unexplained, less that of the best rival.
     "rival_misfit",
     # Log of the share of the unexplained variation in broad patterns, relative to that of noise.
     "structure",
-    "step",  # bright sectors over dark ones
-    "weakest_line_step_share",  # the least step of the symbol's lines but the innermost
-    "dark_over_gap",  # dark sectors over the gap, 0 on a landmark
-    "bright_over_ring",  # bright sectors over the ring, 0 on a landmark
-    "bright_over_ring_share",  # "share": divided by the ring's contrast over the gap
-    "local_weakest_bright",  # darkest bright sector over the gap
-    "strongest_dark",  # brightest dark sector over the gap, 0 on a landmark
-    "local_strongest_dark",
-    "strongest_dark_over_floor",
-    "weakest_bright_half_share",  # over the halves of sectors, relative to the gap
+    "weakest_line_step_share",  # least step from dark to bright sectors, of all lines but the first
+    "bright_over_ring_share",  # bright sectors over the ring, 0 on a landmark
+    "weakest_edge_share",  # least step across the edges between bright and dark sectors
+    # Over the gap in the same direction, which late echoes and uneven illumination raise as much as
+    # the symbol: the darkest bright sector, the darkest half of one, the brightest half of a dark
+    # one.
+    "weakest_bright",
+    "weakest_bright_half_share",
     "strongest_dark_half_share",
-    "edge",  # step across the edges between bright and dark sectors, mean
-    "weakest_edge",  # the least of them
-    "texture",  # standard deviation within the sectors
-    "texture_share",
-    "ring_over_floor",  # over the floor outside
-    "ring_over_gap",
-    "weakest_ring",  # weakest quarter of the ring over the mean of gap and floor next to it
+    # The weakest quarter of the ring, over the mean of gap and floor in its directions, and over
+    # the gap.
+    "weakest_ring_share",
     "weakest_ring_over_gap",
-    "weakest_ring_by_frames",  # times log_frames, since the minimum over few frames is noisy
     "ring_texture_share",  # standard deviation along the ring
-    "log_frames",  # natural logarithm of the frames gathered
     "existence",  # log odds that stage 2 gives
     # The first three again, by the fit under INDEPENDENT noise; of smeared pictures the same.
     "independent_correlation",
@@ -122,13 +113,13 @@ class _SectorMeans:
     ) -> tuple[FloatArray, BoolArray]:
         """Mean level of every sector at every ID's rotation, and whether enough of it was seen.
 
-        symbol, weight: (m, n, ANGLES). rotation: (n, K). Both results are (m, n, K, parts).
+        symbol, weight: (n, ANGLES). rotation: (n, K). Both results are (n, K, parts).
         """
         shape = (*symbol.shape, len(self._cells))
-        at_rotation = (slice(None), np.arange(len(rotation))[:, None], rotation)
+        at_rotation = np.arange(len(rotation))[:, None], rotation
         share = (weight @ self._member).reshape(shape)[at_rotation]
         level = ((symbol * weight) @ self._member).reshape(shape)[at_rotation]
-        full = weight.max(axis=-1)[..., None, None] * self._cells
+        full = weight.max(axis=1)[:, None, None] * self._cells
         return level / np.maximum(share, 1e-9), share > 0.3 * np.maximum(full, 1e-9)
 
 
@@ -151,10 +142,9 @@ class Describer:
         self._symbol = bands.symbol
         # 1 at the two steps that flank a rise counter-clockwise, -1 at those of a fall.
         self._edges = codes[..., AFTER] - codes[..., BEFORE]
-        table = np.asarray(landmarks.sectors, dtype=bool)
-        self._sectors = table
-        self._halves = np.repeat(table, 2, axis=1)
-        self._in_sector, self._in_half = (_SectorMeans(n * table.shape[1]) for n in (1, 2))
+        self._sectors = np.asarray(landmarks.sectors, dtype=bool)
+        self._halves = np.repeat(self._sectors, 2, axis=1)
+        self._in_sector, self._in_half = (_SectorMeans(n * self._sectors.shape[1]) for n in (1, 2))
 
     def __call__(
         self, average: FloatArray, count: FloatArray, existence: FloatArray, smear: FloatArray
@@ -164,7 +154,6 @@ class Describer:
         existence: (n,) probability by stage 2. smear: (n,) the beam's standard deviation across the
         line of sight, in disc radii.
         """
-        frames = np.maximum(count.max(axis=(1, 2)), 0.5)
         count = count * self._area
         bands = self._bands(average, count)
         lines = self._expected.lines
@@ -182,8 +171,7 @@ class Describer:
             **_of_fit(fit),
             **{f"independent_{name}": value for name, value in second.items()},
             **self._of_symbol(average, count, bands, rotation),
-            **_of_ring(bands, frames),
-            "log_frames": np.log(frames),
+            **_of_ring(bands),
             "existence": np.log(existence / (1 - existence)),
         }
         features = np.empty((*rotation.shape, len(FEATURES)))
@@ -225,43 +213,27 @@ class Describer:
 
         average, count: (n, L, ANGLES), the count weighted by the cells' area.
         """
-        symbol, _, gap, outer = bands.profiles
-        weight, _, gap_weight, outer_weight = bands.weights
-        gap_level = bands.levels[2]
+        symbol, _, gap, _ = bands.profiles
+        weight, _, gap_weight, _ = bands.weights
         ids = np.arange(rotation.shape[1])
-        # (3, n, ANGLES): the symbol over the gap's mean level, over the gap in the same direction,
-        # and over the floor in the same direction.
-        floor = 0.5 * outer + 0.25 * (outer[:, BEFORE] + outer[:, AFTER])
-        contrast = np.stack([symbol - gap_level[:, None], symbol - gap, symbol - floor])
-        known = np.stack([weight, weight * (gap_weight > 0), weight * (outer_weight > 0)])
-        dark, steps, textures = _regress(
-            np.concatenate([contrast[0][:, None], average[:, self._step_lines]], axis=1),
+        symbol_over_gap = symbol - bands.levels[2][:, None]
+        dark, step = _regress(
+            np.concatenate([symbol_over_gap[:, None], average[:, self._step_lines]], axis=1),
             np.concatenate([weight[:, None], count[:, self._step_lines]], axis=1),
             self._codes[rotation, ids],
         )
-        dark, step, texture = dark[..., 0], steps[..., 0], textures[..., 0]
-        level, seen = self._in_sector.levels(contrast, known, rotation)
-        brightest_dark = _greatest(level, seen & ~self._sectors)
-        half, half_seen = self._in_half.levels(contrast[1:2], known[1:2], rotation)
-        edge, weakest_edge = _steepness(symbol, weight, self._edges[rotation, ids])
-        over_ring = dark + step - bands.ring_over_gap[:, None]
+        over_gap, known = symbol - gap, weight * (gap_weight > 0)
+        sector, sector_seen = self._in_sector.levels(over_gap, known, rotation)
+        half, half_seen = self._in_half.levels(over_gap, known, rotation)
         share = 1 / bands.contrast[:, None]
         return {
-            "step": step,
-            "weakest_line_step_share": steps[..., 1:].min(axis=-1) * share,
-            "dark_over_gap": dark,
-            "bright_over_ring": over_ring,
-            "bright_over_ring_share": over_ring * share,
-            "local_weakest_bright": -_greatest(-level[1], seen[1] & self._sectors),
-            "strongest_dark": brightest_dark[0],
-            "local_strongest_dark": brightest_dark[1],
-            "strongest_dark_over_floor": brightest_dark[2],
-            "weakest_bright_half_share": -_greatest(-half[0], half_seen[0] & self._halves) * share,
-            "strongest_dark_half_share": _greatest(half[0], half_seen[0] & ~self._halves) * share,
-            "edge": edge,
-            "weakest_edge": weakest_edge,
-            "texture": texture,
-            "texture_share": texture * share,
+            "weakest_line_step_share": step[..., 1:].min(axis=-1) * share,
+            "bright_over_ring_share": ((dark + step)[..., 0] - bands.ring_over_gap[:, None])
+            * share,
+            "weakest_edge_share": _weakest_edge(symbol, weight, self._edges[rotation, ids]) * share,
+            "weakest_bright": _least(sector, sector_seen & self._sectors),
+            "weakest_bright_half_share": _least(half, half_seen & self._halves) * share,
+            "strongest_dark_half_share": -_least(-half, half_seen & ~self._halves) * share,
         }
 
 
@@ -290,20 +262,15 @@ def _brightest(symbol: FloatArray, count: FloatArray) -> FloatArray:
     return np.asarray(values[np.arange(len(values)), index][:, None, None])
 
 
-def _of_ring(bands: _BandAverages, frames: FloatArray) -> dict[str, FloatArray]:
-    """The features of the ring, each (n,). frames: (n,) frames in the average."""
+def _of_ring(bands: _BandAverages) -> dict[str, FloatArray]:
+    """The features of the ring, each (n,)."""
     _, ring, gap, outer = bands.profiles
-    _, ring_weight, gap_weight, _ = bands.weights
-    _, ring_level, _, outer_level = bands.levels
-    spread = np.sqrt(_level((ring - ring_level[:, None]) ** 2, ring_weight))
-    seen = np.minimum(ring_weight, 1.0)
-    weakest = _weakest_quarter(ring - 0.5 * (gap + outer), seen)
+    _, weight, gap_weight, _ = bands.weights
+    spread = np.sqrt(_level((ring - bands.levels[1][:, None]) ** 2, weight))
+    seen = np.minimum(weight, 1.0)
     return {
-        "ring_over_floor": ring_level - outer_level,
-        "ring_over_gap": bands.ring_over_gap,
-        "weakest_ring": weakest,
+        "weakest_ring_share": _weakest_quarter(ring - 0.5 * (gap + outer), seen) / bands.contrast,
         "weakest_ring_over_gap": _weakest_quarter(ring - gap, seen * (gap_weight > 0)),
-        "weakest_ring_by_frames": weakest * np.maximum(np.log(frames), 0),
         "ring_texture_share": spread / bands.contrast,
     }
 
@@ -313,10 +280,10 @@ def _unexplained(correlation: FloatArray) -> FloatArray:
     return np.asarray(1 - np.clip(correlation, 0, BEST_FIT) ** 2)
 
 
-def _greatest(level: FloatArray, among: BoolArray) -> FloatArray:
-    """Greatest level over the last axis where `among`; 0 where nothing is."""
-    most = np.where(among, level, -np.inf).max(axis=-1)
-    return np.where(np.isfinite(most), most, 0.0)
+def _least(level: FloatArray, among: BoolArray) -> FloatArray:
+    """Least level over the last axis where `among`; 0 where nothing is."""
+    least = np.where(among, level, np.inf).min(axis=-1)
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def _exact_rotation(
@@ -340,38 +307,29 @@ def _exact_rotation(
 
 def _regress(
     symbol: FloatArray, weight: FloatArray, code: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, K, L) level of the dark sectors, step to the bright ones, and residual deviation.
+) -> tuple[FloatArray, FloatArray]:
+    """(n, K, L) level of the dark sectors, and step to the bright ones.
 
     By weighted regression of every line of the symbol (n, L, ANGLES) on the codes (n, K, ANGLES).
     """
     share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-9)
-    mean = (symbol * share).sum(axis=2)[:, None]  # (n, 1, L)
-    variance = np.maximum((symbol**2 * share).sum(axis=2)[:, None] - mean**2, 0)
-    code_mean = code @ share.swapaxes(1, 2)
-    code_variance = code**2 @ share.swapaxes(1, 2) - code_mean**2
-    covariance = code @ (share * symbol).swapaxes(1, 2) - mean * code_mean
+    share = share.swapaxes(1, 2)
+    weighted = share * symbol.swapaxes(1, 2)
+    mean = weighted.sum(axis=1)[:, None]  # (n, 1, L)
+    code_mean = code @ share
+    code_variance = code**2 @ share - code_mean**2
+    covariance = code @ weighted - mean * code_mean
     # The step is unknown if no edge between bright and dark was seen.
     step = np.where(code_variance > 0.02, covariance / np.maximum(code_variance, 1e-9), 0.0)
-    texture = np.sqrt(np.maximum(variance - step * covariance, 0))
-    return mean - step * code_mean, step, texture
+    return mean - step * code_mean, step
 
 
-def _steepness(
-    symbol: FloatArray, weight: FloatArray, edges: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n, K) mean and least rise of (n, ANGLES) profiles across edges (n, K, ANGLES).
-
-    0 where no edge was seen.
-    """
+def _weakest_edge(symbol: FloatArray, weight: FloatArray, edges: FloatArray) -> FloatArray:
+    """(n, K) least rise of (n, ANGLES) profiles across edges (n, K, ANGLES); 0 if none was seen."""
     rise = symbol[:, FAR_AFTER] - symbol[:, FAR_BEFORE]
     seen = (weight[:, FAR_AFTER] > 0) & (weight[:, FAR_BEFORE] > 0)
     edges = edges * seen[:, None]
-    rise = rise[:, None] * edges
-    count = np.abs(edges).sum(axis=2)
-    mean = rise.sum(axis=2) / np.maximum(count, 1)
-    least = np.where(edges != 0, rise, np.inf).min(axis=2)
-    return mean, np.where(count > 0, least, 0.0)
+    return _least(rise[:, None] * edges, edges != 0)
 
 
 def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray
+from sonarrec.arrays import BoolArray, FloatArray, FloatImage, IndexArray
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3 import rounded
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, Bands, ShapeSampler
@@ -62,6 +62,10 @@ LEAST_SHOWN = 0.1  # share of a whole symbol's evidence; with less, correlations
 # fit where few cells are seen.
 WAVES = 6
 STEADY = 1e-9
+# The precision of hidden cells is singular if all cells of a free level are among them.
+STEADY_CELLS = 1e-12
+# numpy has no solver for triangles: blocks of so many rows are inverted.
+BLOCK = 32
 # The expected symbol itself is wrong by this share of the variation, so a smaller unexplained share
 # means nothing. (0 does as well on tuning seeds, but then the result depends on the last digits
 # where few cells are seen.)
@@ -97,16 +101,32 @@ class SymbolFit:
 class _Products:
     """Whitened inner products of n objects, over the cells that were seen.
 
-    own: (n,) with themselves. symbols: (n, T) with symbols of norm 1. patterns: (n, P) with broad
-    patterns. inverse: (n, P, P) inverse of the patterns' products with each other. of_ids: for each
-    partly seen object, (ANGLES x K, P) products of the IDs with the patterns.
+    own: (n,) with themselves. ids: (n, ANGLES x K) with the IDs, of norm 1. rival: (n,) with the
+    best rival, of norm 1. patterns: (n, P) with broad patterns. inverse: (n, P, P) inverse of the
+    patterns' products with each other. hidden: of each partly seen object the hidden part of the
+    IDs (h, ANGLES x K) and of the patterns (h, P), and the IDs' norms without it (ANGLES x K, 1).
     """
 
     own: FloatArray
-    symbols: FloatArray
+    ids: FloatArray
+    rival: FloatArray
     patterns: FloatArray
     inverse: FloatArray
-    of_ids: dict[int, FloatArray]
+    hidden: dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Whitened:
+    """P e / sqrt(e' P e) for each expected symbol e at one smear and the precision P.
+
+    A disc's product with it, over the root of the disc's own variation, is the correlation. ids:
+    (cells, ANGLES x K). broad: (ANGLES x K, P) products of the IDs with every broad pattern.
+    rivals: (R, cells) in single precision, which finds the best among so many.
+    """
+
+    ids: FloatArray
+    broad: FloatArray
+    rivals: FloatImage
 
 
 class ExpectedSymbols:
@@ -133,10 +153,9 @@ class ExpectedSymbols:
         self._broad = _broad(self._radii, landmarks.symbol[1])
         self._whitened_broad = self._precision @ self._broad
         self._of_broad = self._broad.T @ self._whitened_broad
-        self._inverse_of_broad = _steady_inverse(self._of_broad)
+        self._inverse_of_broad = _steady_inverse(self._of_broad.copy())
         # Only the smears that occur in a log are computed.
         self._expected = cache(self._whitened)
-        self._broad_in_ids = cache(self._broad_in)
 
     def fit(self, cells: FloatArray, seen: BoolArray, smear: FloatArray) -> SymbolFit:
         """Compare symbols with every ID and every rival.
@@ -148,87 +167,97 @@ class ExpectedSymbols:
         seen = seen.reshape(shape)
         values = np.where(seen, cells.reshape(shape), 0.0)
         whitened = values @ self._precision
-        steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
-        ids = ANGLES * self._ids
-        symbols = np.empty((len(cells), ids + CROSS_ROTATIONS + ANGLES * len(self._rivals)))
-        for step in set(steps.tolist()):
-            of = steps == step
-            symbols[of] = values[of] @ self._expected(step)
-        # Objects with the same unseen cells, as one track in many frames, share most of the work.
-        equally_seen: dict[tuple[int, bytes], list[int]] = {}
-        for i in np.flatnonzero(seen.any(axis=1) & ~seen.all(axis=1)).tolist():
-            equally_seen.setdefault((int(steps[i]), seen[i].tobytes()), []).append(i)
+        number = seen.sum(axis=1)
+        partly = (number > 0) & (number < shape[1])
         inverse = np.broadcast_to(
             self._inverse_of_broad, (len(cells), *self._inverse_of_broad.shape)
         )
         products = _Products(
             own=(whitened * values).sum(axis=1),
-            symbols=symbols,
+            ids=np.empty((len(cells), ANGLES * self._ids)),
+            rival=np.empty(len(cells)),
             patterns=whitened @ self._broad,
-            inverse=inverse.copy() if equally_seen else inverse,
-            of_ids={},
+            inverse=inverse.copy() if partly.any() else inverse,
+            hidden={},
         )
-        for (step, _), of_step in equally_seen.items():
-            hidden = np.flatnonzero(~seen[of_step[0]])
-            self._leave_out(hidden, products, np.array(of_step), whitened, step)
+        steps = np.minimum(np.rint(smear / SMEAR_STEP), MOST_STEPS).astype(int)
+        for step in set(steps.tolist()):
+            of = np.flatnonzero(steps == step)
+            expected = self._expected(step)
+            products.ids[of] = values[of] @ expected.ids
+            likely = np.ascontiguousarray((expected.rivals @ values[of].T.astype(np.float32)).T)
+            best = expected.rivals[likely.argmax(axis=1)]
+            products.rival[of] = (values[of] * best).sum(axis=1)
+            # Objects with the same unseen cells, as one track in many frames, share the work.
+            equally_seen: dict[bytes, list[int]] = {}
+            for i in np.flatnonzero(partly[of]).tolist():
+                equally_seen.setdefault(seen[of[i]].tobytes(), []).append(i)
+            for same in equally_seen.values():
+                self._leave_out(
+                    ~seen[of[same[0]]], products, of[same], values, whitened, expected, likely[same]
+                )
         np.maximum(products.own, LEAST_VARIATION, out=products.own)
-        scale = np.sqrt(products.own)[:, None]
-        correlation = (symbols[:, :ids] / scale).reshape(-1, ANGLES, self._ids)
+        scale = np.sqrt(products.own)
+        correlation = (products.ids / scale[:, None]).reshape(-1, ANGLES, self._ids)
         rotation = rounded(correlation).argmax(axis=1)
-        structure = self._structure(products, rotation, steps, seen.sum(axis=1))
-        return SymbolFit(
-            correlation, symbols[:, ids:].max(axis=1) / scale[:, 0], rotation, structure
-        )
+        structure = self._structure(products, rotation, steps, number)
+        return SymbolFit(correlation, products.rival / scale, rotation, structure)
 
     def _leave_out(
         self,
-        hidden: IndexArray,
+        hidden: BoolArray,
         products: _Products,
         objects: IndexArray,
+        values: FloatArray,
         whitened: FloatArray,
-        steps: int,
+        expected: _Whitened,
+        likely: FloatImage,
     ) -> None:
         """Restrict the products of some objects to their seen cells.
 
-        objects: (m,) indices of those whose unseen cells are `hidden`; these are removed from the
-        precision by a Schur complement. whitened: (n, cells). steps: the objects' smear.
+        objects: (m,) indices of those whose unseen cells are `hidden`, (cells,); these are removed
+        from the precision by a Schur complement. values, whitened: (n, cells). expected: at the
+        objects' smear. likely: (m, R) their products with the rivals.
         """
-        ids = ANGLES * self._ids
-        symbols = products.symbols[objects]
-        likely = rounded(symbols[:, ids:])
         rank = max(likely.shape[1] - MOST_RIVALS, 0)
-        compared = np.ones(symbols.shape, bool)
-        compared[:, ids:] = likely >= np.partition(likely, rank, axis=1)[:, rank, None]
+        compared = likely >= np.partition(likely, rank, axis=1)[:, rank, None]
         some = np.flatnonzero(compared.any(axis=0))
-        expected = self._expected(steps)[np.ix_(hidden, some)]
-        patterns, own = self._whitened_broad[hidden], whitened[np.ix_(objects, hidden)]
-        # `solve` takes twice as long as the inverse, for so many right-hand sides.
-        inverse = np.linalg.inv(self._precision[np.ix_(hidden, hidden)])
-        solved = inverse @ np.column_stack([patterns, expected])
-        first = patterns.shape[1]  # column of the first symbol
-        of_own, of_patterns = own @ solved, patterns.T @ solved
-        products.own[objects] -= ((own @ inverse) * own).sum(axis=1)
+        rivals = expected.rivals[some].T.astype(float)
+        # Of the hidden cells, divided by a root of their precision: products are differences then.
+        precision = self._precision[hidden][:, hidden]
+        precision.flat[:: len(precision) + 1] *= 1 + STEADY_CELLS
+        parts = self._whitened_broad, expected.ids, rivals, whitened[objects].T
+        right = np.concatenate([part[hidden] for part in parts], axis=1)
+        divided = _solved(np.linalg.cholesky(precision), right)
+        first, last = self._broad.shape[1], -len(objects)  # columns of the symbols
+        patterns, symbols, own = np.split(divided, [first, last], axis=1)
+        of_own = own.T @ divided[:, :last]
+        products.own[objects] -= (own * own).sum(axis=0)
         products.patterns[objects] -= of_own[:, :first]
-        products.inverse[objects] = _steady_inverse(self._of_broad - of_patterns[:, :first])
-        power = 1 - (expected * solved[:, first:]).sum(axis=0)
+        products.inverse[objects] = _steady_inverse(self._of_broad - patterns.T @ patterns)
+        power = 1 - (symbols * symbols).sum(axis=0)
         scale = np.sqrt(np.maximum(power, LEAST_SHOWN))
-        shown = (power > LEAST_SHOWN) & compared[:, some]
-        products.symbols[objects] = 0
-        products.symbols[np.ix_(objects, some)] = np.where(
-            shown, (symbols[:, some] - of_own[:, first:]) / scale, 0.0
-        )
-        of_ids = self._broad_in_ids(steps) - of_patterns[:, first : first + ids].T
-        products.of_ids.update(dict.fromkeys(objects.tolist(), of_ids / scale[:ids, None]))
+        combined = np.concatenate([products.ids[objects], values[objects] @ rivals], axis=1)
+        found = np.where(power > LEAST_SHOWN, (combined - of_own[:, first:]) / scale, 0.0)
+        ids = ANGLES * self._ids
+        products.ids[objects] = found[:, :ids]
+        of_rivals = np.where(compared[:, some], found[:, ids:], 0.0)
+        products.rival[objects] = of_rivals.max(axis=1, initial=0)
+        hidden_part = symbols[:, :ids], patterns, scale[:ids, None]
+        products.hidden.update(dict.fromkeys(objects.tolist(), hidden_part))
 
     def _structure(
         self, products: _Products, rotation: IndexArray, steps: IndexArray, seen: IndexArray
     ) -> FloatArray:
         """(n, K) `structure` of SymbolFit. rotation: (n, K). seen: (n,) number of cells."""
-        best = rotation * self._ids + np.arange(self._ids)  # index among the symbols
+        best = rotation * self._ids + np.arange(self._ids)  # index among the IDs
         of_best = np.empty((*best.shape, products.patterns.shape[1]))
         for i, step in enumerate(steps.tolist()):
-            of_best[i] = products.of_ids.get(i, self._broad_in_ids(step))[best[i]]
-        explained = np.take_along_axis(products.symbols, best, axis=1)
+            of_best[i] = self._expected(step).broad[best[i]]
+            if i in products.hidden:
+                ids, patterns, norm = products.hidden[i]
+                of_best[i] = (of_best[i] - ids[:, best[i]].T @ patterns) / norm[best[i]]
+        explained = np.take_along_axis(products.ids, best, axis=1)
         broad = products.patterns[:, None] - explained[..., None] * of_best  # (n, K, P)
         own = products.own[:, None]
         unexplained = np.maximum(own - explained**2, 0.0) + MISFIT * own
@@ -236,18 +265,14 @@ class ExpectedSymbols:
         share *= seen[:, None] / products.patterns.shape[1]
         return np.asarray(np.log(np.maximum(share, LEAST_STRUCTURE)))
 
-    def _broad_in(self, steps: int) -> FloatArray:
-        """(ANGLES x K, P) products of the IDs' `_whitened` with every broad pattern."""
-        return np.asarray(self._expected(steps)[:, : ANGLES * self._ids].T @ self._broad)
-
-    def _whitened(self, steps: int) -> FloatArray:
-        """(cells, T) P e / sqrt(e' P e) for each `expected` symbol e and the precision P.
-
-        A disc's product with it, over the root of the disc's own variation, is the correlation.
-        """
+    def _whitened(self, steps: int) -> _Whitened:
+        """The whitened `expected` symbols at a smear of whole SMEAR_STEPs."""
         flat = self.expected(steps).reshape(len(self._precision), -1)
         whitened = self._precision @ flat
-        return np.asarray(whitened / np.sqrt((flat * whitened).sum(axis=0)))
+        whitened /= np.sqrt((flat * whitened).sum(axis=0))
+        ids, rivals = np.split(whitened, [ANGLES * self._ids], axis=1)
+        ids = np.ascontiguousarray(ids)
+        return _Whitened(ids, ids.T @ self._broad, np.ascontiguousarray(rivals.T, np.float32))
 
     def expected(self, steps: int) -> FloatArray:
         """(lines, ANGLES, T) expected levels of every symbol: 0 on the plate, 1 on a bright sector.
@@ -362,10 +387,23 @@ def _broad(radii: FloatArray, symbol_to: float) -> FloatArray:
     return np.stack(patterns, axis=1)
 
 
+def _solved(lower: FloatArray, right: FloatArray) -> FloatArray:
+    """(h, n) X of `lower` X = `right` (h, n), for a lower triangle (h, h)."""
+    found = np.empty_like(right)
+    for first in range(0, len(lower), BLOCK):
+        rows = slice(first, first + BLOCK)
+        left = right[rows] - lower[rows, :first] @ found[:first]
+        found[rows] = np.linalg.inv(lower[rows, rows]) @ left
+    return found
+
+
 def _steady_inverse(products: FloatArray) -> FloatArray:
-    """Regularised inverse of the patterns' products, which are singular if few cells are seen."""
-    size = len(products)
-    return np.linalg.inv(products + STEADY * np.trace(products) * np.eye(size))
+    """Regularised inverse of the patterns' products, which are singular if few cells are seen.
+
+    Changes the products.
+    """
+    products.flat[:: len(products) + 1] += STEADY * products.trace()
+    return np.linalg.inv(products)
 
 
 def _precision(radii: FloatArray, correlation_length: float, ring_from: float) -> FloatArray:

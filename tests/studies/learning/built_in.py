@@ -56,11 +56,6 @@ SECOND = tuple(name for name in FEATURES if name.startswith("independent_"))
 FIRST = tuple(name.removeprefix("independent_") for name in SECOND)
 """Features of the fits under correlated and under independent noise; all others serve both."""
 FOLDS = 3
-# Kinds left out want a bias, since curves are timid in worlds that they do not know; kinds that
-# were learned from want none. Half of it serves both: with weights of .8 and .5 and a bias of 0, .3
-# and .6, recordings of tuning seeds (2000 to 2010) have 71, 108 and 160 false claims and miss
-# 1,529, 1,461 and 1,415 of 10,502 landmarks in frames; the curves of one opinion 117 and 1,598.
-BIAS_SHARE = 0.5
 LEAST_LIKELY = 0.01  # a probability that is lower costs no more: else few samples decide
 Recordings = Sequence[tuple[str, Samples]]
 """Samples with the kind of scene that they are from."""
@@ -119,7 +114,7 @@ def weights_of(left_out: Sequence[tuple[str, FloatArray, Samples]]) -> FloatArra
             total -= float(np.log(np.maximum(true, LEAST_LIKELY)).mean()) / kinds.count(kind)
         return total
 
-    found = minimize(loss, [0.5, 0.5, 0.2], method="Nelder-Mead").x * [1, 1, BIAS_SHARE]
+    found = minimize(loss, [0.5, 0.5, 0.2], method="Nelder-Mead").x
     return np.asarray(found.round(2))
 
 
