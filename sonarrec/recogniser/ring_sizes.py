@@ -46,7 +46,7 @@ class RingSizes:
     def inspect(self, frame: Frame, contrast: float = 0.0) -> None:
         """Keep a frame out of so many that no more than KEPT are held.
 
-        contrast: the best score of its candidates, if stage 1 looked for rings.
+        contrast: the best score of its candidates, if stage 1 searched for rings.
         """
         self._fitting += contrast * BETTER >= 1
         if self._seen % self._every == 0 and not isinstance(self._landmarks, DrawnSet):
