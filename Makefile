@@ -45,7 +45,7 @@ bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a p
 scale: .venv/installed  # a thousand logs, killed; how cost grows, long logs (over half an hour)
 	$(BIN)/python -m tests.studies.scale --record scale
 
-paper: .venv/installed  # Tables 4 and 5 in the worlds on record, ours beside the published
+paper: .venv/installed  # Tables 4 and 5 in the worlds on record, beside the published (a quarter of an hour)
 	$(BIN)/python -m tests.studies.paper.prediction --record paper
 
 scenes: .venv/installed  # every kind of random scene, all methods, beside the goals

@@ -69,9 +69,12 @@ class Parts:
 
 
 def once(estimates: Sequence[Estimate]) -> list[Estimate]:
-    """A method's estimates in one frame, but of each ID the best claim alone stays declared."""
-    claims = sorted((e for e in estimates if e.declared), key=lambda e: e.score)
-    best = {e.landmark: e for e in claims}
+    """A method's estimates in one frame; of each ID all but the surest get score 0, as where the
+    framework compares, and are not declared."""
+    best = {e.landmark: e for e in sorted(estimates, key=lambda e: e.score)}
     return [
-        replace(e, method=e.method + ONE, declared=best.get(e.landmark) is e) for e in estimates
+        replace(e, method=e.method + ONE)
+        if best[e.landmark] is e
+        else replace(e, method=e.method + ONE, score=0.0, declared=False)
+        for e in estimates
     ]

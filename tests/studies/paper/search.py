@@ -196,9 +196,12 @@ def build(number: int) -> tuple[World, FloatArray, float] | None:
     return None
 
 
-def meets(seven: FloatArray, chance: FloatArray) -> bool:
-    """Whether Table 4 may be a recording of a world of such rates. chance: of one recording."""
-    square = np.sum(((seven - PUBLISHED) / chance) ** 2) / (1 + 1 / MEASURED)
+def meets(seven: FloatArray, chance: FloatArray, recordings: int = MEASURED) -> bool:
+    """Whether Table 4 may be a recording of a world of such rates, means over some recordings.
+
+    chance: of one recording.
+    """
+    square = np.sum(((seven - PUBLISHED) / chance) ** 2) / (1 + 1 / recordings)
     there = np.array([IN_VIEW.get(i, 0) for i in IDS])
     shares = np.concatenate([there[HERE] / there.sum(), (FRAMES - there) / (FRAMES - there).sum()])
     tpr, fpr = np.split((seven - PUBLISHED) * shares, [len(HERE)])

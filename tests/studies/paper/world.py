@@ -1,8 +1,7 @@
 """The worlds on record: answers to all that the paper leaves open of its basin, within ranges.
 
-search.py draws them, measures them against Tables 3 and 4, and keeps those that meet these. In none
-of them anything was chosen: what `--preset paper` says where the paper is open was chosen in other
-worlds (choices.py of commit 8d855fe2).
+search.py draws them, measures them against Tables 3 and 4, and keeps those that meet these. Nothing
+was chosen in them: prediction.py says how `--preset paper` was.
 """
 
 from __future__ import annotations
