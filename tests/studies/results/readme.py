@@ -82,7 +82,7 @@ def _lines(now: Mapping[str, str]) -> Iterator[str]:
 
 def _scenes() -> list[list[str]]:
     """All kinds pooled, the kind with the lowest TPR, and the one with the highest FPR."""
-    rows = {row["kind of scene"]: row for row in _rows("scenes_fresh")}
+    rows = {row["kind of scene"]: row for row in _rows("scenes_fresh") if "kind of scene" in row}
     kinds = {found[1]: row for label, row in rows.items() if (found := re.search("`(.+)`", label))}
     rates = {kind: _rates(row["`default`"]) for kind, row in kinds.items()}
     lowest = min((k for k in rates if not math.isnan(rates[k][0])), key=lambda k: rates[k][0])
