@@ -38,7 +38,7 @@ from tests.support.simulated import (
 
 TUNING = range(2000, 3000)
 """Seeds that settings are chosen on."""
-REPORTED = range(3000, 3032)
+REPORTED = range(3000, 3016)
 """Seeds of the figures that are reported: nothing is learned or chosen on their recordings."""
 FRESH = range(30_000, 30_016)
 """Seeds of the figures with `--ours`, as reported from the next record on."""
