@@ -1,4 +1,4 @@
-"""What pages, messages and code are written in: no word that has a better one, no long message."""
+"""Words of pages, messages and code: none that has a better one. And no message is too long."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOLD = {
     *("SonarrecError", "UsageError", "MissingError", "UnusableError", "DamagedError"),
     *("note", "problem", "fault", "print_notes", "inform", "skip"),
 }
-"""Who says a message to the user: errors, and what takes lines for the terminal."""
+"""Calls whose arguments are shown to the user: errors, notes, and lines for the terminal."""
 
 REFUSED = {
     "turn turns turned": "rotation, rotated; yaw of a vehicle, shift of a pan",
@@ -48,24 +48,24 @@ REFUSED = {
     "born": "new",
     "forget forgot forgotten": "drop, dropped",
 }
-"""Parts of the names in code, and what is used in place of them."""
+"""Parts of names that code must not have, and what is used in place of them."""
 KEYS = {
     "config": {"alike_radii", "strikes", "count_strikes"},
     "run_file": {"place"},
     "scene": {"turned_deg"},
     "model": {"at"},
 }
-"""By module, the fields named as the keys of files that users have."""
+"""By module, fields that may have such names, since they are keys of files that users have."""
 VAGUE = re.compile(r"\b(told|beside|apart|away|alike|turned|places|anew)\b", re.IGNORECASE)
 MOST_VAGUE = 8
-"""So many of these words stay in comments, docstrings and messages, where English has no other."""
+"""The number of VAGUE words that comments, docstrings and messages may have in all."""
 
 
 def banned() -> list[str]:
-    """The words on the left of the table in `sonarrec help contribute`."""
+    """The regular expressions on the left of the table in `sonarrec help contribute`."""
     page = (ROOT / "sonarrec" / "help" / "contribute.md").read_text(encoding="utf-8")
-    table = page.partition("    not ")[2].partition("\n\n")[0]
-    return [line.split("  ")[2].strip() for line in table.splitlines()[1:]]
+    table = page.partition("\n    refused  ")[2].partition("\n\n")[0]
+    return [line.strip().partition("  ")[0] for line in table.splitlines()[1:]]
 
 
 def texts_of(node: ast.expr) -> list[str]:
@@ -85,7 +85,10 @@ def texts_of(node: ast.expr) -> list[str]:
 
 
 def messages() -> Iterator[tuple[str, str, int]]:
-    """(where, text, its most characters) of every message in the code, without an example."""
+    """(where, first line, most characters) of every message in the code.
+
+    The lines that follow the first one are examples, which may be long.
+    """
     for path in sorted((ROOT / "sonarrec").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             told: list[ast.expr] = []
@@ -101,7 +104,7 @@ def messages() -> Iterator[tuple[str, str, int]]:
 
 
 def test_messages_are_short_and_no_text_has_a_word_that_has_a_better_one() -> None:
-    """In code such words may be names of settings."""
+    """In pages, text in backticks and indented lines are not checked: they may name settings."""
     found = [*messages()]
     assert len(found) > 400
     assert not [(where, text) for where, text, longest in found if len(text) > longest]
@@ -139,7 +142,7 @@ def names_in(path: Path) -> Iterator[tuple[str, int]]:
             yield name or "", node.lineno
 
 
-def test_names_are_the_fields() -> None:
+def test_names_use_words_of_the_field() -> None:
     """Every part of each name, also of those in capitals: `sight_turned`, `TURNED_DEG`."""
     better = {word: use for words, use in REFUSED.items() for word in words.split()}
     found = []

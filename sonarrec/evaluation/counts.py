@@ -35,35 +35,45 @@ from sonarrec.results.columns import chosen
 LOGS_ENOUGH = 10
 """With so many logs the unit is a log, since the passes of one log have much in common."""
 MOST_UNITS = 400
-"""If there are more, neighbours in time are merged; this makes intervals no wider."""
+"""If there are more passes, neighbours in time are merged into so many units. Intervals do not
+become wider by that."""
 BINS = 10
-"""Of the probability that an estimate states."""
+"""Bins of the stated probability, in the calibration table."""
 TOTAL = "total"
 """Stands for all IDs: the micro average."""
 MOST_ROWS = 2_000_000
-"""With more of them, scores and errors are rounded where they are summed by unit."""
+"""If claims and errors have more rows, they are rounded in the sums by unit, so that memory stays
+small."""
 STEPS = {"position": 1e-5, "orientation": 0.01}
-"""m and deg to which errors are then rounded down."""
+"""Steps, in m and deg, to which errors are rounded down if there are more than MOST_ROWS rows."""
 MILLION = 10**DIGITS
 """Scores are counted in millionths: whole numbers are sorted faster."""
 SCORES = np.unique(np.rint([0, *MILLION / (1 + np.exp(-np.linspace(-14, 14, 1868))), MILLION]))
-"""Those to which scores are then rounded down, so that no FPR of a curve rises: dense near 0 and 1,
-where curves are steep."""
+"""In millionths. With more than MOST_ROWS rows, scores are rounded down to these. Rounding down
+cannot raise an FPR of a curve. They are dense near 0 and 1, where curves are steep."""
 BY = ["method", "protocol", "landmark"]
 _UNIT = ["method", "landmark", "unit"]
 _EXACT = {"claims": [*BY, "score"]} | {kind: ["method", "landmark", "value"] for kind in STEPS}
+"""Of each table that may be rounded, the columns by which its unrounded rows are added up."""
 _ADDED = {"claims": COUNTS} | {kind: ["n"] for kind in STEPS}
+"""The columns of these tables that are added up."""
 
 
 def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
     """What one log adds to these tables, by unit.
 
-    base: TP, TN, FP, FN without any claim, by protocol and landmark. declared: what the declared
-    claims add, also by method. claims: what every claim adds, also by score (in millionths).
-    passes: by protocol, its frames. right: by protocol and method, the frames of a pass in which it
-    was claimed. position, orientation: n errors of right claims, m and deg, by method, landmark and
-    value. calibration: see `_calibration`. mistakes: see `over_frames`. rates_only: leave out the
-    last four. Methods and protocols are indices, into the log's methods and PROTOCOLS.
+    base: TP, TN, FP, FN without any claim, by protocol and landmark.
+    declared: what the declared claims add, also by method.
+    claims: what all claims add, also by score (in millionths).
+    passes: a row per protocol and pass, with the number of its frames.
+    right: by protocol, method and pass, the number of its frames in which it was claimed.
+    position, orientation: the number n of right claims with an error, m and deg, by method,
+    landmark and the error's value.
+    calibration: see `_calibration`.
+    mistakes: see `over_frames`.
+
+    rates_only: leave out position, orientation, calibration and mistakes. Methods and protocols are
+    indices, into the log's methods and PROTOCOLS.
     """
     parts: dict[str, list[Table]] = defaultdict(list)
     beneath = truth_beneath(log) if log.placed and not rates_only else None
@@ -89,7 +99,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
                 parts[kind].append(errors.added_up([*_UNIT, "value"]))
             parts["calibration"].append(_calibration(log, beneath))
     tables = {name: stacked(of) for name, of in parts.items()}
-    if "wrong" in tables:
+    if "wrong" in tables:  # frame by frame; only the mistakes over neighbouring frames are returned
         tables["mistakes"] = over_frames(log, tables.pop("wrong"))
     return tables
 
@@ -111,15 +121,18 @@ def _without_claims(log: Matched, truths: Table, protocol: str) -> Table:
 
 
 def _number_of(passage: IntArray, log: Matched) -> IntArray:
-    """(passes,) how often each is named; -1 is none."""
+    """(passes,) the number of truths in each. passage: (truths,) the index of each pass, or -1."""
     return np.bincount(passage[passage >= 0], minlength=len(log.passes))
 
 
 def _right(log: Matched, right: Table) -> Table:
-    """By method and pass, in how many of its frames it was claimed. right: the right claims."""
-    once = right.select(["method", "truth"]).added_up(["method", "truth"])
-    in_passes = Table(method=once["method"], passage=log.truths["passage"][once["truth"]], right=1)
-    return in_passes[in_passes["passage"] >= 0].added_up(["method", "passage"])
+    """By method and pass, the number of its frames in which it was claimed.
+
+    right: the right claims. Several of one truth count once. A truth without a pass is left out.
+    """
+    found = right.select(["method", "truth"]).added_up(["method", "truth"])
+    found = Table(method=found["method"], passage=log.truths["passage"][found["truth"]], right=1)
+    return found[found["passage"] >= 0].added_up(["method", "passage"])
 
 
 def _errors(log: Matched, right: Table) -> dict[str, Table]:
@@ -175,10 +188,20 @@ class Units(NamedTuple):
 class Counts:
     """The sums over all logs, which have the same IDs: `add` each, then `finish`.
 
-    rates_only: leave out errors, calibration and mistakes. After `finish` there are logs (their
-    names, made unique; names: as they came), frames_of (each), ids, landmarks (as text, then
-    TOTAL), methods, protocols, placed (whether strict is scored), frames, positives and ignored
-    (truths under strict), gates (m).
+    rates_only: leave out errors, calibration and mistakes. `finish` sets these attributes:
+
+    logs: names of the logs, each different.
+    names: the same as the logs have them.
+    frames_of: number of frames of each log.
+    ids: of the landmarks.
+    landmarks: these as text, then TOTAL.
+    methods: those that are scored.
+    protocols: those that are scored.
+    placed: whether protocol strict is scored.
+    frames: number of frames of all logs.
+    positives: number of truths that count under protocol strict.
+    ignored: number of those that do not.
+    gates: m, all distances within which claims of a log are right.
     """
 
     def __init__(self, *, rates_only: bool = False) -> None:
@@ -186,7 +209,8 @@ class Counts:
         self._logs: list[dict[str, Any]] = []
         self._names: list[str] = []  # of methods, which tables have by their index
         self._tables: dict[str, list[Table]] = defaultdict(list)
-        # Of those added before rows were rounded: all without units, and rounded by unit.
+        # Sums of the logs added before the last rounding: `_exact` by score or error, without
+        # units; `_rounded` by unit, with rounded scores and errors.
         self._exact: dict[str, list[Table]] = defaultdict(list)
         self._rounded: dict[str, list[Table]] = defaultdict(list)
         self._rows = 0
@@ -197,7 +221,7 @@ class Counts:
         """Add the counts of a log."""
         self._names += [name for name in log.methods if name not in self._names]
         index = np.array([*map(self._names.index, log.methods), -1], dtype=np.int8)
-        first = {name: sum(log[name] for log in self._logs) for name in ("unit", "passage")}
+        first = {name: sum(of[name] for of in self._logs) for name in ("unit", "passage")}
         for name, of in count_log(log, rates_only=self._rates_only).items():
             columns = dict(of.columns)
             if name == "mistakes":
@@ -213,10 +237,16 @@ class Counts:
             self._tables[name].append(Table(**columns))
         self._logs.append(
             {
-                **{"name": log.name, "ids": log.ids, "methods": log.methods, "placed": log.placed},
-                **{"unit": log.units, "passage": len(log.passes), "frames": len(log.frame)},
+                "name": log.name,
+                "ids": log.ids,
+                "methods": log.methods,
+                "placed": log.placed,
+                "unit": log.units,
+                "passage": len(log.passes),
+                "frames": len(log.frame),
                 "first_frame": int(log.frame[0]) if len(log.frame) else 0,
-                **{"positives": int(log.truths["strict"].sum()), "truths": len(log.truths)},
+                "positives": int(log.truths["strict"].sum()),
+                "truths": len(log.truths),
                 "gates": {float(log.gate_m)} if len(log.truths) else set(),
             }
         )
@@ -224,7 +254,10 @@ class Counts:
             self._round()
 
     def _round(self) -> None:
-        """Round scores and errors by unit, so that memory stays flat; in all they stay exact."""
+        """Round scores and errors in the sums by unit, so that memory does not grow with the logs.
+
+        The sums over all units are kept unrounded.
+        """
         for name in ("claims", *STEPS):
             if self._tables[name]:
                 of, by = stacked(self._tables[name]), _EXACT[name]
@@ -241,10 +274,11 @@ class Counts:
         self._rows = 0
 
     def finish(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
-        """The sums. folders: of the logs; where several have one name it is their names.
+        """Set the attributes of the class, after the last log.
 
-        methods: those wanted; all if none is named.
-        Raises SonarrecError if none has a method.
+        folders: one per log. Logs of one name are named by their folders. methods: those wanted;
+        all if none is named. Raises SonarrecError if no log has a method to score, or
+        if no log has a wanted one.
         """
         for name, parts in self._tables.items():
             self._tables[name] = [stacked(parts)] if parts else []
@@ -272,13 +306,13 @@ class Counts:
         return self
 
     def lacking(self) -> list[tuple[str, list[str]]]:
-        """(log, the methods of others that it has no estimates of)."""
+        """Logs without estimates of some methods: the log's name, and these methods."""
         lacks = ([m for m in self.methods if m not in log["methods"]] for log in self._logs)
         return [(name, methods) for name, methods in zip(self.logs, lacks, strict=True) if methods]
 
     @cached_property
     def _log_of(self) -> IntArray:
-        """(pass units of all logs,) the log of each."""
+        """(units,) the index of each unit's log, before units are merged."""
         return np.repeat(np.arange(len(self.logs)), [log["unit"] for log in self._logs])
 
     @cached_property
@@ -321,8 +355,10 @@ class Counts:
 
     @cached_property
     def points(self) -> pd.DataFrame:
-        """TP, TN, FP, FN of each log and unit at the operating point; positives: FN without any
-        claim."""
+        """TP, TN, FP, FN at the operating point, by log, method, protocol, landmark and unit.
+
+        positives: the number of truths that count, which are the FN without any claim.
+        """
         base = self.base.assign(positives=self.base.fn)
         base = base.merge(pd.DataFrame({"method": self.methods}), how="cross")
         found = pd.concat([base, self.table("declared").assign(positives=0)])
@@ -350,7 +386,7 @@ class Counts:
         return next(row.itertuples(index=False))
 
     def _steps(self, method: str, protocol: str) -> Table:
-        """What all claims of an ID and a score add; kept for the next call, but for no other."""
+        """The sums of all claims by ID and score. Only the last result is kept."""
         if self._last[0] != (method, protocol):
             every = self.rows("claims", method, protocol, exact=True)
             steps = every.select(["landmark", "score", *COUNTS]).added_up(["landmark", "score"])
@@ -384,8 +420,10 @@ class Counts:
 
     @cached_property
     def mistakes(self) -> list[Mistake]:
-        """All that is wrong under the stricter protocol, made in the most frames first, then with
-        the highest score."""
+        """All mistakes under the stricter protocol, sorted by number of frames, then by score.
+
+        The most frames and the highest scores come first.
+        """
         protocol, found = self.protocols[-1], []
         for method in self.methods:
             lack = [n for n, log in enumerate(self._logs) if method not in log["methods"]]
@@ -433,7 +471,7 @@ def of_landmark(table: pd.DataFrame, landmark: str) -> pd.DataFrame:
 
 
 def ratio(part: Any, total: Any) -> Any:
-    """part / total; NaN for 0/0, infinite for more over 0."""
+    """part / total; NaN if both are 0, infinite if only the total is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return part / total
 
@@ -447,8 +485,8 @@ def with_rates(of: pd.DataFrame) -> pd.DataFrame:
 def corners(curve: pd.DataFrame, most: int = 2000) -> pd.DataFrame:
     """The points needed to draw a curve: its corners and both ends.
 
-    If these are more than `most`, points are left out that stay within the same of `most` / 2
-    equal steps of both rates.
+    If these are more than `most`, each rate is divided into `most` / 2 equal steps. Of consecutive
+    points in the same steps of both rates only the first is kept, and the last point of all.
     """
     step = np.stack([np.diff(curve.tp - curve.fn), np.diff(curve.fp - curve.tn)]) != 0
     keep = np.ones(len(curve), dtype=bool)

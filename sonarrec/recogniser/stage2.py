@@ -312,7 +312,10 @@ class ContinuityFilter:
     def _delete(
         self, moved_off: Sequence[bool], in_view: Sequence[bool], motion: Motion | None
     ) -> list[int]:
-        """Delete groups for the five reasons above. Returns the indices of those kept."""
+        """Delete groups for the five reasons in the module's docstring.
+
+        Returns the indices of those kept.
+        """
         config, groups = self._config, self._groups
         alive = [
             group.too_wide < config.strikes  # not spread out

@@ -1,6 +1,6 @@
-"""The three stages over the frames of one log, and those for discs.
+"""The three stages: the base class ThreeStages, and DiscStages for landmarks that are discs.
 
-Those for drawn plates: `drawn/three_stages.py`.
+`drawn/three_stages.py` has those for drawn plates.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Tracked:
     """One frame after stage 2, with what stage 3 needs of its image.
 
     motion: of the sonar since the frame before. candidates: (n, 2) working pixels. scores: (n,) of
-    stage 1. evidence: of the groups. shapes: two (n, L, ANGLES), the candidates' shape matrices and
-    which of their cells lie inside the fan; none of plates.
+    stage 1. evidence: of the groups. shapes: two arrays (n, L, ANGLES), the candidates' shape
+    matrices and which of their cells lie inside the fan; empty for plates.
     """
 
     index: int
@@ -59,7 +59,10 @@ class Measurement(Protocol):
     """Stage 3 of one kind of landmark."""
 
     def beliefs(self, groups: Sequence[Groups], evidence: Evidence, /) -> Beliefs:
-        """About the groups of consecutive frames; groups' evidence concatenated."""
+        """Beliefs about the groups of consecutive frames.
+
+        evidence: on the groups of all these frames, concatenated.
+        """
         ...
 
 
@@ -82,9 +85,9 @@ class ThreeStages(ABC):
 
     @abstractmethod
     def begin_stretch(self) -> None:
-        """Tracks, with their beliefs, and motion end: the next frame begins a stretch.
+        """End all tracks, their beliefs and the motion, since the next frame begins a stretch.
 
-        All frames before must have been in stage3.
+        `stage3` must have had all earlier frames.
         """
 
     def step(self, frame: Frame) -> FrameResult:
@@ -122,7 +125,7 @@ class ThreeStages(ABC):
         groups, evidence = [f.groups for f in frames], joined([f.evidence for f in frames])
         beliefs = self._measurement.beliefs(groups, evidence)
         tracked = self._estimates.of_groups(self.method, groups, evidence.episodes, beliefs)
-        # The estimates of all frames, divided among them: of candidates, then of groups.
+        # Each frame gets the estimates of its own candidates, then those of its own groups.
         of_candidates, of_groups = iter(self.single_frame_estimates(frames)), iter(tracked)
         return [
             FrameResult(
@@ -140,7 +143,7 @@ class ThreeStages(ABC):
         ]
 
     def single_frame_estimates(self, frames: Sequence[Tracked]) -> list[Estimate]:  # noqa: ARG002
-        """The estimates of all candidates by the single-frame method; none if there is none."""
+        """The estimates of all candidates by the single-frame method; empty if it does not run."""
         return []
 
 
@@ -195,7 +198,7 @@ class DiscStages(ThreeStages):
     def begin_stretch(self) -> None:
         self.odometry.begin_stretch()
         self._track.begin_stretch()
-        # The other measurement goes by the numbers of tracks, and these are new.
+        # AppearanceMeasurement finds a track by its number, and no later track gets an old number.
         if isinstance(self._measurement, PublishedMeasurement):
             self._measurement.begin_stretch()
 
@@ -204,8 +207,8 @@ class DiscStages(ThreeStages):
         motion = self.odometry.step(image, frame.timestamp_ns)
         # Track the candidates by groups of particles (Eq. 3 and 4).
         groups = self._track.step(candidates, motion)
-        # Sample the shape matrices (Section 3.4.2) of the candidates, then of the groups. A group's
-        # are rotated by whole steps only, so that their cells coincide.
+        # Sample the shape matrices (Section 3.4.2) of the candidates, then of the groups. Those of
+        # a group are rotated by whole steps only, so that their cells coincide from frame to frame.
         n = len(candidates.positions)
         positions = np.concatenate([candidates.positions, groups.positions])
         sight = self.plane.line_of_sight(positions)

@@ -22,7 +22,7 @@ from foxglove.messages import CompressedImage, RawImage, Timestamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.readers import open_log
-from sonarrec.readers.messages.types import decoder_for
+from sonarrec.readers.messages.types import IMAGES, decoder_for, message_type
 from sonarrec.records import Frame
 from sonarrec.sonar import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
@@ -343,7 +343,8 @@ def by_flatbuffers(compressed: bool) -> Maker:
     return make
 
 
-# A new message type is one function of fields, a row of FIELDS and its rows here.
+# FIELDS gives rows for CDR, ROS 1 and JSON to each message type. All that a new type needs is in
+# `sonarrec help contribute`, "How to add".
 WRITERS: dict[str, Maker] = {
     **{f"{name}, CDR": by_rosbags(name) for name in FIELDS},
     **{f"{name}, ROS 1": by_rosbags(name, ros1=True) for name in FIELDS},
@@ -361,16 +362,23 @@ WRITERS: dict[str, Maker] = {
 
 def sidecars(writer: str, bins: int, beams: int) -> tuple[str, str]:
     """The sonar.toml of an MCAP of that writer, and that of the same frames in a folder; empty
-    for images that are no pings."""
-    bearings = bearings_deg(beams)
-    if "marine" in writer and "Raw" in writer:  # middles at whole bins, bearings in 32 bits
-        bearings = np.degrees(np.radians(bearings).astype(np.float32).astype(float))
-        return TILT_TOML, polar_toml(bins, FIRST_BIN - 0.5, bearings)
-    if "marine" in writer:
-        return TILT_TOML, polar_toml(bins, FIRST_BIN, bearings)
-    if "culus" in writer:
-        return TILT_TOML, polar_toml(bins, 0, bearings)
-    return "", ""
+    for images that are no pings. Raises KeyError for a type of pings that it does not know."""
+    name, bearings = message_type(writer.partition(",")[0]), bearings_deg(beams)
+    if name in IMAGES:
+        return "", ""
+    match name:
+        case "marine_acoustic_msgs/ProjectedSonarImage":
+            return TILT_TOML, polar_toml(bins, FIRST_BIN, bearings)
+        case "marine_acoustic_msgs/RawSonarImage":  # middles at whole bins, bearings in 32 bits
+            bearings = np.degrees(np.radians(bearings).astype(np.float32).astype(float))
+            return TILT_TOML, polar_toml(bins, FIRST_BIN - 0.5, bearings)
+        case (
+            "sonar_oculus/OculusPing"
+            | "sonar_oculus/OculusPingUncompressed"
+            | "oculus_interfaces/Ping"
+        ):
+            return TILT_TOML, polar_toml(bins, 0, bearings)
+    raise KeyError(f"{name}: add a case to `sidecars` in tests/support/messages.py")
 
 
 # Logs of pings

@@ -1,9 +1,10 @@
 """The default measurement: the appearance of a disc's shape matrix, averaged along its track.
 
-The paper measures each frame by itself, and normalising its similarities loses 'this is no
-landmark'. Here the grey shape matrix is averaged in the object's own frame (track_matrix.py),
-described under every ID (description.py), and judged by a model of landmarks (model.py). The
-beliefs of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to 8.
+The paper measures each frame by itself. It normalises the similarities, so that they cannot say
+that a disc is no landmark. Here the grey shape matrix is averaged in the object's own frame
+(track_matrix.py), described under every ID (description.py), and judged by a model of landmarks
+(model.py). The beliefs of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to
+8.
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ from sonarrec.records import Groups
 # An ID is declared from the LEAST_FRAMES-th frame of a track on, if enough of the disc is in view.
 # Discs fewer than FEW_BEAMS beams wide need more, since one frame hardly shows their symbol.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
-# Most new tracks are chance and soon gone: one is judged from its second frame on, if there is
-# likelier an object than not. Its picture changes little from frame to frame: once it has more than
-# CONVERGED_FRAMES, every third is judged, and between them that judgement counts if it was SURE.
+# Most new tracks arise by chance and end soon. So a track is judged from its LEAST_FRAMES-th frame
+# on, if its object exists with at least the probability LEAST_EXISTENCE. Its averaged picture
+# changes little from frame to frame. So after CONVERGED_FRAMES frames only every JUDGED_EVERY-th is
+# judged. In a frame between these the last judgement is used if it was SURE; else the frame is
+# judged, too.
 CONVERGED_FRAMES, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
 SURE = 0.97  # probability of one ID, or of none: .9 loses a third of the gain (tiny discs)
-# Arcs that something hides are left out where an ID is likely: it has this probability.
+# Hidden arcs are looked for and left out only if an ID has at least this probability.
 LIKELY = 0.4
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
@@ -42,7 +45,8 @@ class Classifier(Protocol):
     """Judges discs by their features."""
 
     every_frame: ClassVar[bool]
-    """Whether it is to see every track in every frame."""
+    """True while samples are gathered: every track is judged in every frame, and hidden arcs are
+    not left out."""
 
     def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
@@ -85,8 +89,8 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, correlation_length=config.alike_radii
         )
         self._model = model
-        # Of each track and episode that is in view or remembered, the last judgement, after that
-        # of an object of which nothing is known.
+        # _earlier: row 0 is an unknown object. The others are the last judgements of the tracks in
+        # view or remembered. _rows: their rows by (track number, episode).
         self._rows: dict[tuple[int, int], int] = {}
         ids = len(landmarks.ids)
         nothing = np.zeros((1, ids)), np.full((1, ids), np.nan)
@@ -126,7 +130,7 @@ class AppearanceMeasurement:
         smear: FloatArray,
         steps: IntArray,
     ) -> tuple[_Judged, IndexArray]:
-        """What the model says, and the row of it that counts for each of n objects.
+        """Judgements by the model, and for each of n objects the row that holds its judgement.
 
         tracked: the n of all groups. steps: (n,) rotation of the line of sight since the track
         began, in whole steps.
@@ -151,21 +155,25 @@ class AppearanceMeasurement:
                 between.append(i)
             row[i] = rows.get(key, 0)
 
-        def judged_now(due: list[int]) -> _Judged:
+        def judge(indices: list[int]) -> _Judged:
+            existence = tracked.existence
             description = self._describe(
-                evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+                evidence.brightness[indices],
+                evidence.count[indices],
+                existence[indices],
+                smear[indices],
             )
             return _Judged(
-                self._probabilities(description, evidence, tracked.existence, smear, due),
-                description.rotation + steps[due, None],
+                self._probabilities(description, evidence, existence, smear, indices),
+                description.rotation + steps[indices, None],
                 description.rotation_sigma,
             )
 
-        judged = joined([self._earlier, judged_now(due)])
+        judged = joined([self._earlier, judge(due)])
         unsure = judged.probabilities.max(axis=1) < SURE
         if between := [i for i in between if unsure[row[i]]]:
             row[between] = len(judged.probabilities) + np.arange(len(between))
-            judged = joined([judged, judged_now(between)])
+            judged = joined([judged, judge(between)])
         last = groups[-1]
         known = {*last.numbers.tolist(), *last.remembered.tolist()}
         kept = [key for key in rows if key[0] in known]
@@ -180,20 +188,20 @@ class AppearanceMeasurement:
         evidence: Evidence,
         existence: FloatArray,
         smear: FloatArray,
-        due: Sequence[int],
+        indices: Sequence[int],
     ) -> FloatArray:
-        """(m, K + 1) by the model, of the objects that are due; description: of these.
+        """(m, K + 1) by the model, of the m objects at these indices; description: of these.
 
         What lies under silt is not dark: an ID keeps the smaller of its probabilities with and
         without the arcs where no ring shows.
         """
-        probabilities = self._model.probabilities(description.features, smear[due])
+        probabilities = self._model.probabilities(description.features, smear[indices])
         if self._model.every_frame:
             return probabilities
         likely = np.flatnonzero(probabilities[:, :-1].max(axis=1, initial=0) >= LIKELY)
         if not len(likely):
             return probabilities
-        row = np.asarray(due)[likely]
+        row = np.asarray(indices)[likely]
         hidden = self._describe.hidden(evidence.brightness[row], evidence.count[row])
         some = hidden.any(axis=1)
         if some.any():

@@ -1,4 +1,4 @@
-"""Describes an averaged shape matrix under every ID by FEATURES, which the model judges."""
+"""Compares an averaged shape matrix with every ID; the results are FEATURES for the model."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3.expected_symbol import SymbolFit, expected_symbols
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, Bands, rotated_codes
 
-# Levels are in standard deviations of the grey levels around the object (see ShapeSampler), or
-# divided by the ring's contrast over the gap ("share"). Other levels, if not divided, helped in
-# kinds of world like those learned from, and did harm in others.
+# Levels are in standard deviations of the grey levels around the object (see ShapeSampler). Those
+# called "share" are divided by the ring's contrast over the gap. Other levels without this division
+# helped in kinds of world similar to those learned from, and did harm in others.
 FEATURES = (
     "correlation",  # with the ID's expected symbol and gap at the best rotation
     # Log of the share of variation that the ID leaves unexplained, less that of the best rival.
@@ -23,9 +23,9 @@ FEATURES = (
     "weakest_line_step_share",  # least step from dark to bright sectors, of all lines but the first
     "bright_over_ring_share",  # bright sectors over the ring, 0 on a landmark
     "weakest_edge_share",  # least step across the edges between bright and dark sectors
-    # Over the gap in the same direction, which late echoes and uneven illumination raise as much as
-    # the symbol: the darkest bright sector, the darkest half of one, the brightest half of a dark
-    # one.
+    # Levels of sectors over the gap in the same direction: the darkest bright sector, the darkest
+    # half of a bright sector, the brightest half of a dark sector. Late echoes and uneven
+    # illumination raise the gap as much as the symbol.
     "weakest_bright",
     "weakest_bright_half_share",
     "strongest_dark_half_share",
@@ -35,21 +35,23 @@ FEATURES = (
     "weakest_ring_over_gap",
     "ring_texture_share",  # standard deviation along the ring
     "existence",  # log odds that stage 2 gives
-    # The first three again, by the fit under INDEPENDENT noise; of smeared pictures the same.
+    # The first three again, by the fit under INDEPENDENT noise; for smeared pictures, their copies.
     "independent_correlation",
     "independent_rival_misfit",
     "independent_structure",
 )
-# Two opinions on noise: correlated between neighbouring cells, as speckle is that stays with the
-# floor, or independent from cell to cell, as single stones glitter on bright sectors. The second
-# limits glitter: no cell counts as brighter than this percentile of the symbol's cells.
+# Two assumptions about noise. The first: it is correlated between neighbouring cells, like speckle,
+# which stays with the floor. The second: it is independent from cell to cell, like the glitter of
+# single stones on bright sectors. The second fit also limits glitter: no cell counts as brighter
+# than this percentile of the symbol's cells.
 INDEPENDENT, GLITTER_PERCENTILE = 0.0, 80
 # A picture is sharp up to the smear SHARP (the beam's standard deviation across the line of sight,
 # in disc radii), and smeared from SMEARED on: discs 14 and 8 beams wide. Chosen on tuning seeds.
 SHARP, SMEARED = 0.06, 0.10
 BEST_FIT = 0.995  # largest correlation that counts
 LEAST_CONTRAST = 0.3  # least contrast of the ring by which features are divided
-# The neighbours of each step, and their neighbours, which the smear of an edge hardly reaches.
+# Indices of the steps next to each step, and of those two steps from it, which the smear of an edge
+# hardly reaches.
 BEFORE, AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-1, 1))
 FAR_BEFORE, FAR_AFTER = ((np.arange(ANGLES) + off) % ANGLES for off in (-2, 2))
 # (ANGLES, ANGLES): column i is 1 over the quarter circle that begins at step i.
@@ -159,12 +161,14 @@ class Describer:
         lines = self._expected.lines
         cells, seen = average[:, lines], count[:, lines] > 0
         fit = self._expected.fit(cells, seen, smear)
-        second, sharp = _of_fit(fit), smear < SMEARED  # beams correlate the cells of smeared ones
-        if sharp.any():
-            brightest = _brightest(average[sharp][:, self._symbol], count[sharp][:, self._symbol])
-            limited = np.minimum(cells[sharp], brightest)
-            of_sharp = _of_fit(self._independent.fit(limited, seen[sharp], smear[sharp]))
-            second = {name: _replaced(of, sharp, of_sharp[name]) for name, of in second.items()}
+        # Beams correlate the cells of smeared pictures: there the second fit is the first.
+        second, unsmeared = _of_fit(fit), smear < SMEARED
+        if unsmeared.any():
+            symbol = average[unsmeared][:, self._symbol]
+            brightest = _brightest(symbol, count[unsmeared][:, self._symbol])
+            limited = np.minimum(cells[unsmeared], brightest)
+            found = _of_fit(self._independent.fit(limited, seen[unsmeared], smear[unsmeared]))
+            second = {name: _replaced(of, unsmeared, found[name]) for name, of in second.items()}
         rotation, best = fit.rotation, fit.best  # (n, K)
         # (n, K), or (n,) if equal for every ID
         values = {
@@ -188,7 +192,8 @@ class Describer:
         """
         _, ring, gap, outer = self._bands(average, count * self._area).profiles
         around = np.arange(ANGLES)[:, None] + np.arange(RING_STEPS) - RING_STEPS // 2
-        # A ring may be as dark as the floor, and wide beams fill the gap: either contrast will do.
+        # A ring may be as dark as the floor, or wide beams may brighten the gap. So the ring is
+        # compared with the darker of the gap, and the mean of gap and floor.
         contrast = ring - np.minimum(gap, 0.5 * (gap + outer))
         contrast = contrast[:, around % ANGLES].mean(axis=2)
         better = np.maximum(quantile(contrast.T, 0.75), LEAST_CONTRAST)
@@ -292,8 +297,8 @@ def _exact_rotation(
     """(n, K) the sub-step rotation, and its standard error, in steps.
 
     correlation: (n, ANGLES, K). rotation, best: (n, K) the whole step of its maximum, and that
-    maximum. By a parabola through three samples, each the mean of three, since sector edges flatten
-    the maximum itself.
+    maximum. The sub-step rotation is the vertex of a parabola through three samples. Each sample is
+    a mean over three steps, since sector edges flatten the maximum.
     """
     near = (rotation + np.arange(-2, 3)[:, None, None]) % ANGLES  # (5, n, K)
     values = correlation[np.arange(len(rotation))[:, None], near, np.arange(rotation.shape[1])]
@@ -338,9 +343,9 @@ def _level(profile: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _weakest_quarter(contrast: FloatArray, seen: FloatArray) -> FloatArray:
-    """(n,) least mean of (n, ANGLES) contrast over a quarter circle, more than half of it seen.
+    """(n,) least mean contrast of all quarter circles of which more than half was seen.
 
-    LIMIT if no quarter was.
+    contrast, seen: (n, ANGLES). LIMIT if of every quarter half or less was seen.
     """
     cells = seen @ QUARTERS
     mean = (contrast * seen) @ QUARTERS / np.maximum(cells, 1e-9)

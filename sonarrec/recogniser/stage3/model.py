@@ -45,7 +45,7 @@ class AppearanceModel:
     knots: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
 
-    every_frame: ClassVar = False  # see AppearanceMeasurement
+    every_frame: ClassVar = False  # see Classifier in appearance.py
 
     def log_odds(self, features: FloatArray, smear: FloatArray) -> FloatArray:
         """(n, K) log odds of each ID against 'none of these'.
