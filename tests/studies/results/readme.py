@@ -75,7 +75,9 @@ def _lines(now: Mapping[str, str]) -> Iterator[str]:
         link = f"[more](tests/studies/RESULTS.md#{re.sub('[^a-z-]', '', link)})"
         yield from (f"| {marks[name]}{' | '.join(cells)} {link} |" for cells in rows)
     note = (
-        " †: the program gave other results when this was measured." if any(marks.values()) else ""
+        " † measured with an earlier state of the program; not yet repeated with this one."
+        if any(marks.values())
+        else ""
     )
     yield from ("", f"{marks['bench']}{_cost()}{note}")
 
@@ -106,8 +108,12 @@ def _others() -> list[list[str]]:
         false = sum(int(row[f"{name}: frames with a claim"]) for row in real)
         claims.append(f"{false} claims")
     frames = sum({row["recording"]: int(row["frames"]) for row in real}.values())
+    said = (
+        f"The worst and the best of {len(made)} recordings: of Stonefish and of another basin "
+        "simulator, and rings drawn into recordings of real rivers."
+    )
     return [
-        ["not made by our simulator", "", *ranges, f"The worst and the best of {len(made)}."],
+        ["not made by our simulator", "", *ranges, said],
         [
             "real rivers without a landmark",
             "",
@@ -137,7 +143,7 @@ def _cost() -> str:
         said[name] = f"{_range([float(row['ms']) for row in own], 1)} ms (TPR {tprs})"
     return (
         f"In {len(own)} scenes a frame of 512 rows takes {said['sonarrec']} of CPU on a slow "
-        f"machine. Two plain loops of Hough circles take {said['hough_majority']} and "
+        f"machine. Two simple detectors with OpenCV's Hough circles, for comparison, take {said['hough_majority']} and "
         f"{said['hough_half']}. Peak memory is {peak['peak memory, 3000 frames, MB']:.0f} MB, "
         f"for views of 130 deg {peak['peak memory, 144 PNGs, 130 deg, MB']:.0f} MB (`make bench`)."
     )
