@@ -15,6 +15,7 @@ from sonarrec.records import BeamOrder, ColourMap
 from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
+STEEP_TILT_DEG = 60.0  # of tilts that are assumed; a steeper one gets a note
 STEEPEST_TILT_DEG = 89.0  # of tilts that are assumed; at 90 every disc would be a line (Eq. 1)
 RangeOrder = Literal["near_first", "far_first"]
 
@@ -73,6 +74,20 @@ class Sonar:
             if value is not None
         }
 
+    def as_options(self) -> list[str]:
+        """The stated keys as options of a command."""
+        words = list[str]()
+        for key, value in self.as_table().items():
+            name = key.replace("_", "-")
+            if isinstance(value, bool):
+                words.append(f"--{name}" if value else f"--no-{name}")
+                continue
+            values = value if isinstance(value, list) else [value]
+            texts = [v if isinstance(v, str) else f"{v:.10g}" for v in values]
+            words.append(f"--{name}")
+            words += texts if key == "apex_px" else [",".join(texts)]
+        return words
+
     def missing(self) -> list[str]:
         """The keys that a complete geometry needs and that are not stated."""
         needed = ("range_min_m", "range_max_m", "tilt_deg", "field_of_view_deg")
@@ -109,8 +124,8 @@ class Sonar:
         if low is None or high is None or tilt is None or view is None:
             missing = self.missing()
             raise SonarrecError(
-                f"{where}: sonar geometry lacks {', '.join(missing)}; complete the log's "
-                f"sonar.toml, or give `run` options such as --{missing[0].replace('_', '-')}"
+                f"{where}: sonar geometry lacks {', '.join(missing)}; fill in the log's "
+                f"sonar.toml, or give options such as --{missing[0].replace('_', '-')}"
             )
         wrong = self.contradiction()
         if wrong is not None:
@@ -129,6 +144,15 @@ class Sonar:
             bearings_deg=beams,
             ranges_m=self.ranges_m,
             flip=flip,
+        )
+
+    def steep(self, tilt_deg: float) -> str | None:
+        """Why the height may be wrong from which tilt_deg follows; None if nothing is odd."""
+        if self.tilt_deg is not None or self.height_m is None or tilt_deg <= STEEP_TILT_DEG:
+            return None
+        return (
+            f"height {self.height_m:g} m puts the sonar almost straight above the floor "
+            f"(tilt {tilt_deg:.0f} deg); is it in metres?"
         )
 
     def contradiction(self) -> str | None:
@@ -163,8 +187,11 @@ class Sonar:
         if tilt is not None and not 0 <= tilt < 90:
             yield ("tilt_deg",), f"tilt_deg = {tilt:g} must be 0 to below 90 (downward)"
         if height is not None and high is not None and not 0 < height < high:
-            wrong = f"height_m = {height:g} must be above 0 and below range_max_m = {high:g}, or no"
-            yield ("height_m", "range_max_m"), f"{wrong} floor is in the window"
+            yield (
+                ("height_m", "range_max_m"),
+                f"height_m = {height:g} must be more than 0 and less than range_max_m = {high:g}, "
+                "otherwise no floor is in view; is it in metres?",
+            )
         for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)
             if value is not None and value <= 0:

@@ -35,20 +35,20 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2881,
-    "drawing": 692,
-    "evaluation": 3715,
+    "drawing": 697,
+    "evaluation": 3728,
     "geometry": 415,
     "learning": 556,
     "mapping": 1349,
     "overlays": 548,
-    "readers": 5878,
+    "readers": 5893,
     "recogniser": 6997,
-    "reports": 2116,
-    "results": 1860,
+    "reports": 2120,
+    "results": 1863,
     "runs": 1766,
     "simulation": 2504,
     "tables": 982,
-    "truth": 1208,
+    "truth": 1241,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

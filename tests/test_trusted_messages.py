@@ -298,6 +298,34 @@ def test_of_a_truth_that_nothing_explains_is_told_what_was_seen(here: Path, pan:
         assert "frames earlier" not in line
 
 
+def test_few_claims_that_are_right_by_chance_are_doubted(here: Path, pan: Path) -> None:
+    """Four of 156 were right, and the truth of another log was scored without a word."""
+    truth = changed(here / "gt.csv", SAMPLES / "faint" / "gt.csv", lambda row: polar(row))
+    told = sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev", code=3).stderr
+    assert re.search(r"\b4 of \d+ rows on pan and 9 of \d+ claims of framework meet", told)
+    both = sonarrec("evaluate", pan, "--ground-truth", SAMPLES / "faint" / "gt.csv", code=3)
+    assert "differ by more than 3 px" in both.stderr
+
+
+def test_a_log_and_its_results_are_not_taken_for_each_other(here: Path, pan: Path) -> None:
+    shutil.copytree(pan, "sonarrec_out/pan")
+    assert "results, not a log" in sonarrec("run", "sonarrec_out", code=2).stderr
+    assert "results, not a log" in sonarrec("run", pan, "-o", "other", code=2).stderr
+    for of in ("evaluate", "report"):
+        told = sonarrec(of, SAMPLE, code=2).stderr
+        assert f"its results are in {Path('sonarrec_out/pan')}" in told
+    bare = here / "bare"
+    bare.mkdir()
+    shutil.copy(SAMPLE / "000000.png", bare)
+    flags = ("--height-m", "0.68", "--no-flip", "--apex-px", "95", "383.5")
+    for shown in (
+        sonarrec("info", bare, *flags).stdout,
+        sonarrec("run", bare, *flags, code=1).stderr,
+    ):
+        (words,) = (words for words in commands(shown) if "--write-sonar" in words)
+        assert {*flags} <= {*words}
+
+
 def in_unit(ns: int) -> Callable[[Row], Row]:
     """Times from the first frame of the log, which has 4 Hz."""
 

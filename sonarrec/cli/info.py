@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -118,7 +118,7 @@ def info(
         if not as_json:
             if documents:
                 say("")
-            say(*lines(found))
+            say(*lines(found, reading["sonar"].as_options()))
         documents.append(asdict(found))
         codes.append(FAILED if found.has_no_frame else PARTLY * found.has_problems)
     if as_json:
@@ -126,7 +126,7 @@ def info(
         click.echo(json.dumps({**head, "logs": documents}, indent=2))
     if write_sonar is not None and found is not None:
         missing = write_sonar_toml(write_sonar, found)
-        lacks = f"complete {', '.join(missing)}" if missing else "nothing is missing"
+        lacks = f"now fill in {', '.join(missing)}" if missing else "nothing is missing"
         if not quiet:
             inform(f"{write_sonar}: written; {lacks}")
     if preview is not None and found is not None:
@@ -155,8 +155,8 @@ def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str 
 # What is printed of a log: what is wrong first, notes last
 
 
-def lines(info: LogInfo) -> list[str]:
-    """A log described in lines of text."""
+def lines(info: LogInfo, given: Sequence[str] = ()) -> list[str]:
+    """A log described in lines of text. given: the options of the geometry."""
     size = f"{info.size_bytes / 1e6:.1f} MB" if info.size_bytes >= 1e5 else f"{info.size_bytes} B"
     kind = number_of(info.files, "image") if info.kind == "images" else info.kind
     name = f"{Path(info.path).name}: "
@@ -173,7 +173,7 @@ def lines(info: LogInfo) -> list[str]:
         by_topic = {images.topic: images.rate_hz for images in info.images}
         out += _container_lines(info.container, by_topic)
     for images in info.images:
-        out += _images_lines(images, Path(info.path))
+        out += _images_lines(images, Path(info.path), given)
     if not info.images:
         out += _entry("images", ["none: no channel holds messages that are read"])
     return out
@@ -238,7 +238,7 @@ def _container_lines(container: Container, by_topic: dict[str | None, float | No
     ]
 
 
-def _images_lines(images: Images, log: Path) -> list[str]:
+def _images_lines(images: Images, log: Path, given: Sequence[str]) -> list[str]:
     if images.usable is None:
         frames = f"{'?' if images.frames is None else images.frames}, not checked"
     else:
@@ -260,12 +260,12 @@ def _images_lines(images: Images, log: Path) -> list[str]:
         *_entry("frames", [frames]),
         *_entry("images", [size]),
         *_entry("header", [sonar, *rows]),
-        *_entry("geometry", _geometry_lines(images, log)),
+        *_entry("geometry", _geometry_lines(images, log, given)),
         *_entry("notes", images.notes),
     ]
 
 
-def _geometry_lines(images: Images, log: Path) -> Iterator[str]:
+def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator[str]:
     """The geometry, where each key is from, and what it lacks."""
     from sonarrec.readers.open import SONAR_FILE, own_file
 
@@ -297,12 +297,12 @@ def _geometry_lines(images: Images, log: Path) -> Iterator[str]:
         flags = flags.replace("--tilt-deg", "--tilt-deg (or --height-m)")
         yield f"lacks {', '.join(images.lacks)}"
         if images.geometry_from is not None:
-            yield f"give {flags}, or complete {images.geometry_from}"
+            yield f"give {flags}, or fill in {images.geometry_from}"
         else:
             topic = [] if images.topic is None else ["--topic", images.topic]
             yield f"give {flags}, or write a sonar.toml; to begin one:"
             file = own_file(log, SONAR_FILE)
-            yield command_line("info", log, *topic, "--write-sonar", file)
+            yield command_line("info", log, *topic, *given, "--write-sonar", file)
 
 
 # A sonar.toml to complete

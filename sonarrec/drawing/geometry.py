@@ -72,13 +72,19 @@ def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     return float(np.ptp(outline[:, 0]))
 
 
+def too_narrow(fan: Fan, landmarks: LandmarkSet) -> bool:
+    """Whether a disc in the middle of the window has too few pixels to be read."""
+    return disc_width_px(fan, landmarks) < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
+
+
 def hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
     """Why no landmark can be read in the middle of the window; None if it can be."""
-    width, middle = disc_width_px(fan, landmarks), (fan.range_min_m + fan.range_max_m) / 2
+    middle = (fan.range_min_m + fan.range_max_m) / 2
     low_deg = math.degrees(math.asin(min(floor_depth(fan) / middle, 1.0)))
     where = f"a landmark of {landmarks.name} in mid-window is"
-    if width < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet):
-        return f"{where} {width:.0f} px wide, and needs {LEAST_WIDTH_PX}; check range and scale"
+    if too_narrow(fan, landmarks):
+        wide = f"{disc_width_px(fan, landmarks):.0f} px wide, and needs {LEAST_WIDTH_PX}"
+        return f"{where} {wide}; check range and scale: are all in metres?"
     if low_deg < LEAST_GRAZING_DEG:
         return f"{where} seen {low_deg:.2g} deg above the floor; check range and height"
     return None
@@ -108,12 +114,13 @@ def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet, stated: Son
     height = "" if stated.height_m is not None else ", estimated (no height is stated)"
     tilt = "" if stated.tilt_deg is not None else " estimated"
     window = f"{fan.range_min_m:.4g} to {fan.range_max_m:.4g} m"
-    where = ": nearer than the window" if near < fan.range_min_m else ""
+    before = near < fan.range_min_m
+    where = ", before this window (normal)" if before else ""
     bearings = f"{fan.bearing_min_deg:.3g} to {fan.bearing_max_deg:.3g} deg"
     disc = f"{2 * landmarks.radius_m:.3g} m, {disc_width_px(fan, landmarks):.0f} px wide"
     lines = (
         (f"stated: {window}, {bearings}, tilt {fan.tilt_deg:g} deg{tilt}", GRID),
-        (f"floor from {near:.3g} m{where}{height}", FLOOR),
+        (f"floor begins at {near:.3g} m{where}{height}", GRID if before else FLOOR),
         (f"disc of {landmarks.name}: {disc} in mid-window", TRUTH),
     )
     width = max(pen.canvas.shape[1], 512)

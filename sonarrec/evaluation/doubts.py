@@ -24,7 +24,7 @@ from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
 from sonarrec.results.run_file import rerun
 from sonarrec.runs.recorded import recorded_at
-from sonarrec.truth.check import FEWEST, unchecked
+from sonarrec.truth.check import FEWEST, of_another_geometry, unchecked
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
 
@@ -32,6 +32,8 @@ MOST_ROWS = 500  # are asked which reading fits; more add nothing
 MOST_SHIFT = 500  # frames by which the truth may be early or late
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
 NEARLY_ALL = 0.8  # of rows and of claims agree under the reading that is named as the reason
+FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
+FEWEST_CLAIMS = 20  # of which a few right ones may be chance
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
@@ -44,6 +46,8 @@ def doubts(
         yield f"{proposed}; they say nothing about the results that they came from"
     if len(truth.visible) and not truth.visible.any():
         yield f"{path}: `visible` is 0 in all rows on {name}, so no landmark is ever in view"
+    if other := of_another_geometry(table, table.rows_of(name), log.fan, name):
+        yield f"{path}: {other}"
     claims = matched.claims
     claims = claims[claims["declared"] & (claims["method"] == 0)]  # of the leading method
     both = _sightings(table, log, matched, claims, min_visible)
@@ -53,7 +57,7 @@ def doubts(
     seen = both.meeting(both.rows)
     if reason:
         yield f"{path}: its rows would fit the claims in {name} clearly better {reason}; check it"
-    elif reason is not None or not seen.claims_met:
+    elif reason is not None or seen.by_chance:
         claimed = seen.claims or len(both.claims.frame)  # all, if none is on a frame with a row
         yield (
             f"{path}: {seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and "
@@ -91,6 +95,12 @@ class _Meeting(NamedTuple):
     @property
     def shares(self) -> tuple[float, float]:
         return self.rows_met / max(self.rows, 1), self.claims_met / max(self.claims, 1)
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether no claim meets a row, or so few that chance explains it."""
+        few = self.claims >= FEWEST_CLAIMS and max(self.shares) < FEW
+        return few or not self.claims_met
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,10 @@ def _truth_of_log(folder: Path, source: Input) -> Path:
     truth = found.companion(TRUTH_FILE)
     if truth is None:
         name = f"{log_name(found.location)}.{TRUTH_FILE}"
-        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {found.path}")
+        make = command_line("truth", "review", found.path)
+        raise SonarrecError(
+            f"no {name}, nor {TRUTH_FILE} in or beside {found.path}; {make} makes one"
+        )
     return truth
 
 

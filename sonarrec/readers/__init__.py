@@ -66,7 +66,8 @@ def open_log(
             f"{path}: --time chooses a clock of an MCAP or a ROS bag; this log is neither"
         )
     file = None if sonar_file is None else Path(sonar_file)
-    resolved, where = source.stated_sonar(sonar_from(sonar), file)
+    flags = sonar_from(sonar)
+    resolved, where = source.stated_sonar(flags, file)
     raw = source.open(topic)
     resolved = raw.geometry(resolved)
     try:
@@ -74,12 +75,14 @@ def open_log(
             option = f"--{missing[0].replace('_', '-')}"
             own = own_file(source.path, SONAR_FILE)
             chosen = [] if topic is None else ["--topic", topic]
-            begin = command_line("info", Path(path), *chosen, "--write-sonar", own)
+            begin = command_line(
+                "info", Path(path), *chosen, *flags.as_options(), "--write-sonar", own
+            )
             there = file is not None or source.companion(SONAR_FILE) is not None
-            how = "complete it" if there else f"{begin} begins a sonar.toml"
+            how = "fill it in" if there else f"{begin} begins a sonar.toml"
             raise SonarrecError(
-                f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give `run` options "
-                f"such as {option}"
+                f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give options such "
+                f"as {option}"
             )
         if not raw.polar:
             resolved.complete(where)

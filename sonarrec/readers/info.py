@@ -265,6 +265,7 @@ def _images(
         *([] if lacks else plausibility.contradictions(log.sonar)),
     ]
     if not lacks and (fan := log.fan) is not None:
+        found.notes += filter(None, [log.sonar.steep(fan.tilt_deg)])
         if found.layout != "polar":
             found.assumed["metres_per_pixel"] = fan.metres_per_pixel
             found.assumed["apex_px"] = [fan.apex_column, fan.apex_row]

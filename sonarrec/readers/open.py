@@ -15,7 +15,14 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
-from sonarrec.errors import Diagnostics, MissingError, SonarrecError, UsageError, name_as_text
+from sonarrec.errors import (
+    Diagnostics,
+    MissingError,
+    SonarrecError,
+    UsageError,
+    command_line,
+    name_as_text,
+)
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
@@ -285,6 +292,10 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
 def _why_no_log(folder: Path) -> str:
     """Why a folder is no log."""
     entries = list(folder.iterdir())
+    for one in (folder, *entries):
+        if all(os.access(one / name, os.R_OK) for name in ("run.toml", "frames.csv")):
+            shown = command_line("report", folder)
+            return f"{folder}: this is a folder of results, not a log; {shown} shows them"
     if logs := sorted(filter(is_log_file, entries), key=natural_order):
         return (
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"

@@ -19,6 +19,7 @@ from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.figures import METRICS, over_units, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
+from sonarrec.geometry import floor_depth
 from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, Shown
@@ -239,13 +240,16 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     results = log.results
     yield "frames", f"{len(results.frame):,}"
     if log.clock == "s" and len(log.time) > 1:
-        axis = charts.time_axis(log)
-        yield "length", f"{axis.high - axis.low:,.1f} s at {1 / log.period:.3g} Hz"
+        yield "length", f"{log.time[-1] - log.time[0]:,.1f} s at {1 / log.period:.3g} Hz"
     if results.timestamp_ns is not None and is_date(int(results.timestamp_ns[0])):
         yield "start", f"{date_text(int(results.timestamp_ns[0]))} UTC"
     if results.fan is not None:
         yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
-        yield "tilt", f"{results.fan.tilt_deg:g} deg"
+        stated = results.run.sonar()
+        assumed = " assumed" * (stated.tilt_deg is None and stated.height_m is not None)
+        yield "tilt", f"{results.fan.tilt_deg:g} deg{assumed}"
+        assumed = " assumed" * (results.fan.height_m is None)
+        yield "height", f"{floor_depth(results.fan):.3g} m{assumed}"
     yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
     presets = [str(config["preset"]) for config in results.run.configs if "preset" in config]
     if presets:

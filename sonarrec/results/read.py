@@ -118,19 +118,22 @@ def find_logs(results: Path) -> list[Path]:
     """
     if (results / "frames.csv").is_file():
         return [results]
+    # It may be the log: then its results are where `run` puts them.
+    home = Path("sonarrec_out", results.stem)
+    of_log = f"; if it is a log, its results are in {home}" * (home / "frames.csv").is_file()
     if not results.is_dir():
         part = part_of(results)
         has_frames = (part / "frames.csv").is_file()
         hint = f"; a run that did not finish left {part}" if has_frames else ""
         raise MissingError(
-            f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}"
+            f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}{of_log}"
         )
     logs = {path.name: path for path in results.iterdir() if _holds_frames(path)}
     names = (n for n in logs if not (n.endswith(PART) and n.removesuffix(PART) in logs))
     if not (found := sorted((logs[name] for name in names), key=natural_order)):
         raise MissingError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
-            "give the folder that `sonarrec run` wrote"
+            f"give the folder that `sonarrec run LOG` wrote{of_log}"
         )
     return found
 

@@ -10,7 +10,7 @@ from heapq import nlargest
 from pathlib import Path
 from time import monotonic
 
-from sonarrec.drawing.geometry import disc_width_px, hardly_seen
+from sonarrec.drawing.geometry import disc_width_px, hardly_seen, too_narrow
 from sonarrec.errors import SonarrecError, command_line, is_url
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import find_log, log_name, results_name
@@ -196,16 +196,18 @@ def _notes(
     log, note, path = run.log, run.log.diagnostics.note, run.log.path
     static, saturated = run.recogniser.restored
     doubts = plausibility.contradictions(log.sonar)
+    narrow = too_narrow(run.fan, run.landmarks)  # which explains what the notes it omits would ask
     if doubts:
         note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
-    elif other := run.recogniser.sizes.other():
+    elif not narrow and (other := run.recogniser.sizes.other()):
         note(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
             f"{run.landmarks.name}, {run.landmarks.radius_m:g} m; check radius_m and the range "
             f"window: {_preview(job, run)}"
         )
-    if why := hardly_seen(run.fan, run.landmarks):
-        note(why)
+    for why in (hardly_seen(run.fan, run.landmarks), log.sonar.steep(run.fan.tilt_deg)):
+        if why:
+            note(why)
     if static:
         note(f"{static:.1%} of the picture never changes, and is filled from its neighbours")
     if saturated:
@@ -213,7 +215,7 @@ def _notes(
     if log.untimed:
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
     notes = [*log.diagnostics.notes, *about_folder]
-    if found or not run.recogniser.tracking:
+    if found or narrow or not run.recogniser.tracking:
         return notes
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(run.fan, run.landmarks):.0f} px wide here"

@@ -18,6 +18,7 @@ from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.geometry import (
     ground_range,
     in_image,
+    pixel_from_polar,
     plane_from_polar,
     polar_from_pixel,
     polar_from_plane,
@@ -35,6 +36,7 @@ from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
+MOST_DIFFERENCE_PX = 3.0  # of two statements of one position by one geometry
 MOST_FRAMES = 3  # named in a note
 FEWEST = 5  # so many frames at least for a note on a pattern in them
 
@@ -172,6 +174,26 @@ def report_fit(
         )
 
 
+def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name: str) -> str:
+    """Whether pixels and metres of most rows on a log disagree, a clause; empty: no.
+
+    name: of the log.
+    """
+    if fan is None or table.pixel is None or table.position is None:
+        return ""
+    stated = np.column_stack(pixel_from_polar(fan, *(v[rows] for v in table.position[1:])))
+    difference_px = np.linalg.norm(table.pixel[rows] - stated, axis=1)
+    difference_px = difference_px[np.isfinite(difference_px)]
+    wrong = np.sum(difference_px > MOST_DIFFERENCE_PX)
+    if wrong <= len(difference_px) / 2:
+        return ""
+    return (
+        f"{wrong} of {len(difference_px)} rows have x_px, y_px and range_m, bearing_deg that "
+        f"differ by more than {MOST_DIFFERENCE_PX:g} px in {name} (median "
+        f"{np.median(difference_px):.0f} px); the truth seems to be of another log or geometry"
+    )
+
+
 def _outside_image(log: ReadLog, truth: Truth) -> BoolArray:
     """(T,) which discs lie wholly outside the fan; (0,) if positions or the fan are not known."""
     if log.fan is None or truth.position is None:
@@ -235,6 +257,8 @@ def check_truth(
     if table.position is not None:
         fan, radius_m = log.fan, landmarks.radius_m
         assert fan is not None
+        if other := of_another_geometry(table, row, fan, log.name):
+            faults.append(Fault(line[0], "geometry", other))
         kind, range_m, bearing_deg = table.position[0], *(v[row] for v in table.position[1:])
         if kind != "polar":
             range_m, bearing_deg = polar_from_pixel(fan, range_m, bearing_deg)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,9 +50,10 @@ class TruthTable:
     key: the column that names the frame, "frame" or "timestamp_ns". keys: (R,) its values.
     landmark: (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,)
     share of the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it.
-    orientation: (R,) deg, NaN where blank. All three are None without their columns. proposed: (R,)
-    whether `truth propose` wrote the row, by the column `source`. unread: other columns, and the
-    one that each may stand for, which the table lacks; empty: none.
+    pixel: (R, 2) column and row, NaN where blank, if position is in metres and deg and the table
+    has both. orientation: (R,) deg, NaN where blank. All are None without their columns. proposed:
+    (R,) whether `truth propose` wrote the row, by the column `source`. unread: other columns, and
+    the one that each may stand for, which the table lacks; empty: none.
     """
 
     path: Path
@@ -62,6 +63,7 @@ class TruthTable:
     visible: FloatArray
     log: Any
     position: tuple[str, FloatArray, FloatArray] | None
+    pixel: FloatArray | None
     orientation: FloatArray | None
     proposed: BoolArray
     unread: tuple[tuple[str, str], ...]
@@ -128,10 +130,17 @@ def read_rows(path: Path) -> TruthTable:
         visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
         position=position,
+        pixel=_pixel_too(table) if position and position[0] == "polar" else None,
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
         unread=(*mistaken_columns(others, (*_KINDS, "track"), {*_KINDS} - spare),),
     )
+
+
+def _pixel_too(table: Mapping[str, Any]) -> FloatArray | None:
+    if "x_px" not in table or "y_px" not in table:
+        return None
+    return np.column_stack([table["x_px"], table["y_px"]])
 
 
 def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:

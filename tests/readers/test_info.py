@@ -221,7 +221,7 @@ def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> No
     for n in range(4):
         shutil.copy(SAMPLE / f"{n:06d}.png", log)
     told = sonarrec("info", log, "--range-max-m", "3.75", "--write-sonar", file).stderr
-    assert "complete range_min_m, " in told
+    assert "now fill in range_min_m, " in told
     text = file.read_text()
     stated = tomllib.loads(text)["sonar"]
     true = tomllib.loads((SAMPLE / "sonar.toml").read_text())["sonar"]

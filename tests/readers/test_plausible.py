@@ -151,4 +151,23 @@ def test_what_to_check_where_nothing_is_recognised_is_told_last(tmp_path: Path) 
     assert f"{pixels:.0f} px wide here" in line
     millimetres = ("--range-min-m", "1250", "--range-max-m", "3750", "--overwrite")
     told = sonarrec("run", log, "-o", tmp_path / "out", *millimetres).stderr
-    assert " 0 px wide here" in told
+    # Too narrow a landmark explains the rest: nothing else is asked.
+    assert " 0 px wide, and needs 12" in told
+    assert ": no landmark declared; check" not in told
+    assert "fit clearly better" not in told
+
+
+def test_a_height_that_cannot_be_in_metres_is_doubted(tmp_path: Path) -> None:
+    log = sample_log(tmp_path / "log", 3)
+    for tilt, told in (("", True), ("tilt_deg = 20.0\n", False)):
+        (log / "sonar.toml").write_text(
+            "[sonar]\nrange_min_m = 1.25\nrange_max_m = 3.75\nfield_of_view_deg = 28.8\n"
+            f"frame_rate_hz = 4.0\n{tilt}"
+        )
+        ran = sonarrec("run", log, "-o", tmp_path / f"out{tilt[:4]}", "--height-m", "2.4")
+        shown = sonarrec("info", log, "--quick", "--height-m", "2.4").stdout
+        # 2.4 m below half of 1.25 + 3.75 m.
+        doubt = f"tilt {np.degrees(np.arcsin(2.4 / 2.5)):.0f} deg); is it in metres?"
+        assert (doubt in ran.stderr, doubt in shown) == (told, told)
+    refused = sonarrec("run", log, "-o", tmp_path / "none", "--height-m", "66", code=2).stderr
+    assert "otherwise no floor is in view; is it in metres?" in refused

@@ -86,6 +86,30 @@ def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
         assert (kinds.count("img") > 6) == (name == "full")
 
 
+def test_the_page_says_what_was_assumed_and_what_the_methods_are(
+    results: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(results, tmp_path / "pan")
+    run = tmp_path / "pan" / "run.toml"
+    for height, tilt, expected in (
+        (True, True, ("20 deg", "0.68 m")),
+        (True, False, ("15.78 deg assumed", "0.68 m")),
+        (False, True, ("20 deg", "0.855 m assumed")),
+    ):
+        text = (results / "run.toml").read_text()
+        text = re.sub("^(path|place) = .*\n", "", text, flags=re.MULTILINE)  # so without pictures
+        for key, stated in (("height_m", height), ("tilt_deg", tilt)):
+            text = text if stated else re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+        run.write_text(text)
+        sonarrec("report", tmp_path / "pan", "-o", tmp_path / "out.html")
+        page = (tmp_path / "out.html").read_text()
+        assert f"<dt>tilt</dt><dd>{expected[0]}</dd>" in page
+        assert f"<dt>height</dt><dd>{expected[1]}</dd>" in page
+    assert "framework is the recogniser" in page
+    # 128 frames at 4 Hz; the same as info has.
+    assert "<dt>length</dt><dd>31.8 s at" in page
+
+
 def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
     page = Page(pages["bare"])
     assert "no ground truth was given" in page.text

@@ -58,6 +58,23 @@ def run(*arguments: str | Path, code: int = 0) -> Result:
     return sonarrec("truth", "check", *arguments, code=code)
 
 
+def test_pixels_and_metres_that_disagree_are_of_another_log(tmp_path: Path) -> None:
+    pan, faint = SAMPLES / "pan", SAMPLES / "faint"
+    told = run(faint / "gt.csv", pan, code=3).stdout
+    assert "322 of 322 rows" in told
+    assert "another log" in told
+    for log in (pan, faint):
+        assert "no fault" in run(log / "gt.csv", log).stdout
+    # A row in three that a person moved in one pair only is no other geometry.
+    header, *rows = (pan / "gt.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    column = header.split(",").index("x_px")
+    for row in cells[::3]:
+        row[column] = str(float(row[column]) + 20)
+    path = truth(tmp_path, [",".join(row) for row in cells], header)
+    assert "another log" not in run(path, pan).stdout
+
+
 # --- No false alarm ------------------------------------------------------------------------------
 
 

@@ -143,8 +143,9 @@ def _cost() -> str:
         said[name] = f"{_range([float(row['ms']) for row in own], 1)} ms (TPR {tprs})"
     return (
         f"In {len(own)} scenes a frame of 512 rows takes {said['sonarrec']} of CPU on a slow "
-        f"machine. Two simple detectors with OpenCV's Hough circles, for comparison, take {said['hough_majority']} and "
-        f"{said['hough_half']}. Peak memory is {peak['peak memory, 3000 frames, MB']:.0f} MB, "
+        "machine. Two simple detectors with OpenCV's Hough circles, for comparison, take "
+        f"{said['hough_majority']} and {said['hough_half']}. "
+        f"Peak memory is {peak['peak memory, 3000 frames, MB']:.0f} MB, "
         f"for views of 130 deg {peak['peak memory, 144 PNGs, 130 deg, MB']:.0f} MB (`make bench`)."
     )
 
