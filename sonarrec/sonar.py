@@ -190,7 +190,7 @@ class Sonar:
             yield (
                 ("height_m", "range_max_m"),
                 f"height_m = {height:g} must be more than 0 and less than range_max_m = {high:g}, "
-                "otherwise no floor is in view; is it in metres?",
+                "or no floor is in view (is it in metres?)",
             )
         for key in ("frame_rate_hz", "metres_per_pixel", "dynamic_range_db"):
             value = getattr(self, key)

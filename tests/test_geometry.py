@@ -269,7 +269,7 @@ def test_the_height_serves_in_place_of_the_tilt() -> None:
     assert floor_depth(by_height) == height
     steep = window.updated(Sonar(height_m=3.0)).complete("here")
     assert 0 < steep.tilt_deg < 90
-    with pytest.raises(SonarrecError, match="height_m = -1 must be above 0"):
+    with pytest.raises(SonarrecError, match="height_m = -1 must be more than 0"):
         window.updated(Sonar(height_m=-1.0)).complete("here")
     with pytest.raises(SonarrecError, match="lacks tilt_deg"):
         window.complete("here")

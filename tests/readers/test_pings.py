@@ -111,7 +111,7 @@ def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
     says = f"^{re.escape(str(path))}: bearings_deg has 2 bearings but the images have 24 beams"
     with pytest.raises(SonarrecError, match=says):
         read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
-    with pytest.raises(SonarrecError, match="height_m = 3 must be above 0 and below"):
+    with pytest.raises(SonarrecError, match="height_m = 3 must be more than 0"):
         read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
 
 

@@ -170,4 +170,4 @@ def test_a_height_that_cannot_be_in_metres_is_doubted(tmp_path: Path) -> None:
         doubt = f"tilt {np.degrees(np.arcsin(2.4 / 2.5)):.0f} deg); is it in metres?"
         assert (doubt in ran.stderr, doubt in shown) == (told, told)
     refused = sonarrec("run", log, "-o", tmp_path / "none", "--height-m", "66", code=2).stderr
-    assert "otherwise no floor is in view; is it in metres?" in refused
+    assert "or no floor is in view (is it in metres?)" in refused
