@@ -155,7 +155,7 @@ def wide() -> Scene:
 PARTS: dict[str, tuple[float | None, tuple[tuple[object, str], ...]]] = {
     "decode": (None, ((images, "decode_image"), (images, "_contents"))),
     "warp": (0.25, ((FloorPlane, "warp"),)),
-    "restore": (0.08, ((Levels, "_echoes"), (Unchanging, "_look"))),
+    "restore": (0.08, ((Levels, "_echoes"), (Unchanging, "_use"))),
     "stage 1": (0.6, ((CandidateSelector, "__call__"),)),
     "motion": (0.45, ((Odometry, "step"),)),
     "stage 2": (0.35, ((ContinuityFilter, "step"),)),
