@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sonarrec.simulation.simulate import write_recording
-from tests.studies.bench import peak_mb, wide
+from tests.studies.bench import PARTS, peak_mb, wide
 
 FRAMES, LONG = 16, 64
 # MB. Limits; most of it is taken before the 40th frame.
@@ -35,3 +35,13 @@ def test_a_run_at_130_deg_stays_within_its_memory(tmp_path: Path) -> None:
     own = re.sub("radius_m = .*", "radius_m = 0.26", basin)
     (tmp_path / "own.toml").write_text(own, encoding="utf-8")
     assert 60 < peak_mb([*command, "--landmarks", str(tmp_path / "own.toml")]) < SOUGHT
+
+
+def test_what_is_timed_is_there() -> None:
+    missing = [
+        (owner, name)
+        for _, functions in PARTS.values()
+        for owner, name in functions
+        if not hasattr(owner, name)
+    ]
+    assert not missing
