@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,6 +122,7 @@ def read_rows(path: Path) -> TruthTable:
     # Of two ways to say the same, one suffices.
     spare = {*table, "frame", "timestamp_ns", *(POSITION_KINDS if position else ())}
     visible, source = table.get("visible", np.ones(rows)), table.get("source")
+    has_both = position is not None and position[0] == "polar" and {"x_px", "y_px"} <= set(table)
     return TruthTable(
         path=path,
         key=key,
@@ -130,17 +131,11 @@ def read_rows(path: Path) -> TruthTable:
         visible=np.where(np.isnan(visible), 1.0, visible),
         log=table.get("log"),
         position=position,
-        pixel=_pixel_too(table) if position and position[0] == "polar" else None,
+        pixel=np.column_stack([table["x_px"], table["y_px"]]) if has_both else None,
         orientation=table.get("orientation_deg"),
         proposed=np.zeros(rows, bool) if source is None else source.isin((TRACKED, FILLED_IN)),
         unread=(*mistaken_columns(others, (*_KINDS, "track"), {*_KINDS} - spare),),
     )
-
-
-def _pixel_too(table: Mapping[str, Any]) -> FloatArray | None:
-    if "x_px" not in table or "y_px" not in table:
-        return None
-    return np.column_stack([table["x_px"], table["y_px"]])
 
 
 def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sonarrec.geometry import plane_from_polar
-from sonarrec.landmarks import DrawnSet, load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.recogniser.drawn.drawings import (
     FINE,
@@ -24,15 +23,8 @@ from sonarrec.recogniser.drawn.drawings import (
 )
 from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.runs.run import Recogniser
+from tests.support.clip import ACTAG, clip_claims, family
 from tests.support.rows import read_rows
-
-ACTAG = Path(__file__).parents[3] / "shared" / "data" / "actag"
-
-
-def family() -> DrawnSet:
-    found = load_landmarks("actag24h10")
-    assert isinstance(found, DrawnSet)
-    return found
 
 
 def test_every_way_of_showing_a_drawing_is_undone() -> None:
@@ -84,35 +76,12 @@ def test_what_a_wrong_drawing_leaves_is_patches() -> None:
     assert noisy > mixed + 5
 
 
-def clip_claims(landmarks: DrawnSet, preset: str) -> tuple[set[int], list[tuple[int, int]], int]:
-    """Frames that declare ID 0 within 6 cm, all claims (frame, ID), how many frames have truth."""
-    truth = {
-        int(row["frame"]): (float(row["range_m"]), float(row["bearing_deg"]))
-        for row in read_rows(ACTAG / "actag_first.gt.csv")
-    }
-    sonar = {"range_order": "far_first"}
-    right, claims = set(), []
-    with open_log(ACTAG / "actag_first.mp4", sonar=sonar) as log:
-        for result in Recogniser(log, preset, landmarks=landmarks).recognise():
-            for estimate in result.estimates:
-                if not estimate.declared:
-                    continue
-                claims.append((result.index, estimate.landmark))
-                if estimate.landmark == 0 and result.index in truth:
-                    (r, b), (q, a) = truth[result.index], (estimate.range_m, estimate.bearing_deg)
-                    off = r * np.exp(1j * np.radians(b)) - q * np.exp(1j * np.radians(a))
-                    if abs(off) < 0.06:
-                        right.add(result.index)
-    assert not [frame for frame, _ in claims if frame not in truth]  # blank pings claim nothing
-    return right, claims, len(truth)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("preset", "least"), [("default", 0.99), ("offline", 1.0)])
 def test_a_real_tag_is_read_on_a_real_sonar(preset: str, least: float) -> None:
     if not ACTAG.is_dir():
         pytest.skip(f"{ACTAG}: the clip is not at hand")
-    right, claims, frames = clip_claims(family(), preset)
+    right, claims, frames = clip_claims(ACTAG, family(), preset)
     assert len(right) >= least * frames
     assert {landmark for _, landmark in claims} == {0}
 
@@ -123,7 +92,7 @@ def test_a_real_tag_that_is_not_in_the_set_is_none_of_it() -> None:
         pytest.skip(f"{ACTAG}: the clip is not at hand")
     tags = family()
     others = replace(tags, ids=tags.ids[1:], cells=tags.cells[1:])
-    _, claims, _ = clip_claims(others, "default")
+    _, claims, _ = clip_claims(ACTAG, others, "default")
     assert not claims
 
 

@@ -18,6 +18,7 @@ from sonarrec.recogniser.three_stages import FRAMEWORK
 from tests.studies.results.record import options, save, show
 from tests.studies.scenes import rates
 from tests.support.claims import evaluate
+from tests.support.clip import clip_claims, family
 from tests.support.counted import Count, counted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,6 +33,9 @@ WORLDS = {
     "basin_a": ("basin_a",),
     "basin_b": ("basin_b",),
     "basin_c": ("basin_c",),
+    "ray-traced, ring 1 dB over the floor": ("rays/low_1dB",),
+    "ray-traced, ring 2 dB under it": ("rays/low_minus2dB",),
+    "ray-traced, half buried": ("rays/buried",),
 }
 """Recordings with landmarks, by how they are told."""
 RIVERS = ("river/lamprey1.avi", "river/lamprey2.avi", "river/pike1.avi")
@@ -83,6 +87,16 @@ def river(log: Path, radius_m: float, out: Path) -> dict[str, str]:
     return line
 
 
+def clip(folder: Path) -> dict[str, str]:
+    """The line of a table: in how many frames each preset names the tag at its position."""
+    claimed = {preset: clip_claims(folder, family(), preset) for preset in PRESETS}
+    line = {"recording": "AcTag", "frames with the tag": str(claimed["default"][2])}
+    for preset, (right, claims, _) in claimed.items():
+        line[f"{preset}: named"] = str(len(right))
+        line[f"{preset}: wrong ID"] = str(sum(landmark != 0 for _, landmark in claims))
+    return line
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Recognise, score and tell."""
     parser = options("worlds", __doc__)
@@ -102,6 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = [river(r, m, asked.out / "rivers") for r in rivers if r.is_file() for m in RADII_M]
     if lines:
         show("Real recordings without a landmark", lines)
+    if (asked.data / "actag").is_dir():
+        show("A clip of a real AcTag", [clip(asked.data / "actag")])
+    else:
+        missing.append("actag")
     save(asked.record)
     for name in missing:
         print(f"worlds: SKIPPED, not in {asked.data}: {name}", file=sys.stderr)

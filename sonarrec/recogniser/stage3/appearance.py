@@ -31,9 +31,9 @@ from sonarrec.records import Groups
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # Most new tracks arise by chance and end soon. So a track is judged from its LEAST_FRAMES-th frame
 # on, if its object exists with at least the probability LEAST_EXISTENCE. Its averaged picture
-# changes little from frame to frame. So after CONVERGED_FRAMES frames only every JUDGED_EVERY-th is
-# judged. In a frame between these the last judgement is used if it was SURE; else the frame is
-# judged, too.
+# changes little from frame to frame. So after CONVERGED_FRAMES frames every JUDGED_EVERY-th is
+# judged. In the frames between these its judgement is used if it was SURE; else each of them has a
+# judgement of its own.
 CONVERGED_FRAMES, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
 SURE = 0.97  # probability of one ID, or of none: .9 loses a third of the gain (tiny discs)
 # Hidden arcs are looked for and left out only if an ID has at least this probability.
