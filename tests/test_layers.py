@@ -42,7 +42,7 @@ MOST_LINES = {
     "mapping": 1349,
     "overlays": 548,
     "readers": 5893,
-    "recogniser": 6997,
+    "recogniser": 6418,
     "reports": 2120,
     "results": 1863,
     "runs": 1766,

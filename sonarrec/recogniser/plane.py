@@ -7,10 +7,9 @@ a pan of the sonar is a rotation about the apex, and there are fewer pixels.
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import ABC, abstractmethod
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,15 +90,6 @@ class Plane(ABC):
     @abstractmethod
     def _shifted(self, column: FloatArray, row: FloatArray, motion: Motion) -> Pair:
         """(column, row) of static objects after the motion's shift, before its pan."""
-
-    def cut(self, inside: ByteImage) -> Self:
-        """This plane for other images: discs are as large, and there is data where `inside` is 1.
-
-        Only for stage 1, which needs no geometry: the apex stays where it was.
-        """
-        plane = copy.copy(self)
-        plane.inside, plane.shape = inside, (inside.shape[0], inside.shape[1])
-        return plane
 
     def disc_share(self) -> FloatImage:
         """`shape` float32: the share inside the fan of a disc centred on each pixel."""

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.arrays import joined
 from sonarrec.config import Features
 from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
@@ -455,33 +454,3 @@ def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_de
     assert not measurement.beliefs(
         [track], measurement.gather(track, grey, grey == 0)
     ).enough_evidence[0]
-
-
-class Fixed:
-    """A model that always says the same, and counts of how many discs it was asked."""
-
-    every_frame = False
-
-    def __init__(self, none: float) -> None:
-        self.probabilities_of = np.array([*[(1 - none) / 4] * 4, none])
-        self.asked = 0
-
-    def probabilities(self, features: np.ndarray, smear: np.ndarray) -> np.ndarray:
-        self.asked += len(smear)
-        return np.tile(self.probabilities_of, (len(features), 1))
-
-
-@pytest.mark.parametrize("together", [1, 4])
-@pytest.mark.parametrize(("none", "every"), [(0.99, 3), (0.6, 1)])
-def test_a_track_is_judged_in_every_frame_until_a_judgement_is_sure(none, every, together):
-    """From its second frame on; from the ninth on in every third if that was sure. How many frames
-    are judged at a time does not matter."""
-    frames, model = 32, Fixed(none)
-    measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, model, 0.4, 400)
-    centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
-    track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
-    grey = np.random.default_rng(0).normal(size=(1, LINES, ANGLES))
-    for _ in range(frames // together):
-        gathered = [measurement.gather(track, grey, np.isfinite(grey)) for _ in range(together)]
-        measurement.beliefs([track] * together, joined(gathered))
-    assert model.asked == (frames - 1 if every == 1 else 7 + (frames - 8) / every)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.presets.hindsight import Hindsight
-from sonarrec.recogniser.presets.second_view import SecondView
 from sonarrec.records import Estimate, FrameResult
 
 BASIN = load_landmarks("basin")
@@ -58,26 +56,6 @@ def test_what_most_frames_declared_is_not_taken_back(declaring: int) -> None:
     frames = [result(i, 1, SURE if i < declaring else NONE) for i in range(18)]
     declared = [e.declared for e in revised(frames)]
     assert declared == [declaring == 10 and i < declaring for i in range(18)]
-
-
-class BlurredLook:
-    """A second look that sees no landmark in the mean of the frames."""
-
-    def revised(self, result: FrameResult) -> FrameResult:
-        (estimate,) = result.estimates
-        denied = replace(estimate, probabilities=NONE, score=0.002, declared=False)
-        return replace(result, estimates=(denied,))
-
-
-@pytest.mark.parametrize("declaring", [5, 12])
-def test_a_look_takes_back_only_what_few_frames_declared(declaring: int) -> None:
-    """The frames that waver follow what most of the pass declared."""
-    hindsight = Hindsight("m", preset("offline"), BASIN, cast(SecondView, BlurredLook()))
-    frames = [result(i, 1, UNSURE if i < 16 - declaring else SURE) for i in range(16)]
-    for frame in frames:
-        hindsight.learn(frame)
-    found = [hindsight.revised(frame).estimates[0] for frame in frames]
-    assert [e.declared for e in found] == [declaring == 12] * 16
 
 
 def test_nothing_is_declared_while_too_little_is_in_view() -> None:

@@ -214,7 +214,7 @@ def test_stopped_at_random_moments_nothing_is_lost(log: Path, tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "offline"])
 def test_ctrl_c_at_any_line_leaves_the_first_frames(log: Path, tmp_path: Path, preset: str) -> None:
-    modules = ("side_by_side.py", "hindsight.py", "second_view.py", "write.py", "one.py")
+    modules = ("side_by_side.py", "hindsight.py", "write.py", "one.py")
     lines = 0
 
     def trace(frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:

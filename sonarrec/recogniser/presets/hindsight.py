@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.arrays import ByteImage
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import declared
-from sonarrec.recogniser.presets.second_view import SecondView
 from sonarrec.recogniser.stage3 import likeliest
 from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinions
-from sonarrec.recogniser.three_stages import Tracked
-from sonarrec.records import Estimate, FrameResult, Selection
+from sonarrec.records import Estimate, FrameResult
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
 
@@ -36,31 +33,13 @@ class Hindsight:
     lag: number of frames that a result waits for its revision.
     """
 
-    def __init__(
-        self, method: str, config: Config, landmarks: LandmarkSet, view: SecondView | None = None
-    ) -> None:
-        """view: revises the results once more."""
-        self._method, self._view = method, view
+    def __init__(self, method: str, config: Config, landmarks: LandmarkSet) -> None:
+        self._method = method
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
         self._opinions = Opinions(len(landmarks.ids))
         self._frame = 0  # a count, since the numbers of a log's frames may jump
-
-    def see(self, tracked: Tracked, image: ByteImage, candidates: Selection) -> None:
-        """Add a frame after stage 2 to the second view."""
-        if self._view is not None:
-            self._view.add(tracked.index, tracked.motion, image, candidates)
-
-    def begin_stretch(self) -> None:
-        """The frames that follow are joined to none before. All of these were revised."""
-        if self._view is not None:
-            self._view.begin_stretch()
-
-    def finish(self) -> None:
-        """No more frames follow."""
-        if self._view is not None:
-            self._view.finish()
 
     def learn(self, result: FrameResult) -> None:
         """Add a frame's estimates to the opinions of their tracks."""
@@ -82,10 +61,7 @@ class Hindsight:
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
-        of_tracks = self._kept(result, self._of_tracks(result))
-        if self._view is None:
-            return of_tracks
-        return self._kept(of_tracks, self._view.revised(of_tracks))
+        return self._kept(result, self._of_tracks(result))
 
     def _kept(self, before: FrameResult, after: FrameResult) -> FrameResult:
         """A revised result without what it takes back of the IDs that most frames declared."""

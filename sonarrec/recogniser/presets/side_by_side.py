@@ -13,7 +13,6 @@ from sonarrec.errors import Diagnostics
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.recogniser.presets.hindsight import Hindsight
-from sonarrec.recogniser.presets.second_view import SecondView, has_second_view
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.ring_sizes import RingSizes
@@ -22,7 +21,7 @@ from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeSt
 from sonarrec.records import Fan, Frame, FrameResult
 from sonarrec.stretches import Stretches
 
-# Frames that stage 3 takes at once: one by one a frame costs a sixth more, more would save nothing.
+# Frames that stage 3 takes at once. One by one, a recording costs 63 to 93 % more time.
 FRAMES_AT_ONCE = 16
 
 
@@ -62,7 +61,6 @@ class _Preset:
     def finish(self) -> None:
         """Revise all results that wait: no more frames follow."""
         if self.hindsight is not None:
-            self.hindsight.finish()
             self._revise(0)
 
     def _revise(self, most: int) -> None:
@@ -111,7 +109,8 @@ class SideBySide:
                 by_stages[but_hindsight] = stages_of(
                     config, fan, landmarks, model, method=method, smi=smi, poses=poses
                 )
-            hindsight = hindsight_of(method, config, fan, landmarks, model)
+            lag = config.features.lag_frames
+            hindsight = Hindsight(method, config, landmarks) if lag else None
             preset = _Preset(number, method, by_stages[but_hindsight], hindsight)
             self._presets.append(preset)
         self.tracking = [preset.method for preset in self._presets]
@@ -142,9 +141,6 @@ class SideBySide:
                 yield from self.waiting()
                 for stages in self._stages:
                     stages.begin_stretch()
-                for preset in self._presets:
-                    if preset.hindsight is not None:
-                        preset.hindsight.begin_stretch()
             self._tracked.append(self._track(frame))
             if len(self._tracked) == FRAMES_AT_ONCE:
                 yield from self._after_stage3()
@@ -159,9 +155,6 @@ class SideBySide:
             image = stages.working_image(frame)
             candidates = stages.stage1(image)
             tracked[stages] = stages.stage2(frame, image, candidates)
-            for preset in self._presets:
-                if preset.hindsight is not None and preset.stages is stages:
-                    preset.hindsight.see(tracked[stages], image, candidates)
         best = max((tracked[s].scores.max(initial=0) for s in self._rings), default=0)
         self.sizes.inspect(frame, best)
         return tracked
@@ -228,18 +221,6 @@ def stages_of(
 
         return PlateStages(config, fan, landmarks, method=method, poses=poses)
     return DiscStages(config, fan, landmarks, model, method=method, smi=smi, poses=poses)
-
-
-def hindsight_of(
-    method: str, config: Config, fan: Fan, landmarks: LandmarkSet, model: Classifier | None
-) -> Hindsight | None:
-    """What revises a preset's results; None if they are final at once."""
-    if not config.features.lag_frames:
-        return None
-    view = None
-    if has_second_view(config) and not isinstance(landmarks, DrawnSet):
-        view = SecondView(method, config, fan, landmarks, model)
-    return Hindsight(method, config, landmarks, view)
 
 
 def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:

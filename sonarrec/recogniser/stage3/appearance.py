@@ -10,19 +10,18 @@ that a disc is no landmark. Here the grey shape matrix is averaged in the object
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from typing import ClassVar, Protocol
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray, joined
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray, joined
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
 from sonarrec.recogniser.stage3.description import Describer, Description
 from sonarrec.recogniser.stage3.opinions import TrackBelief
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rounded_steps
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from sonarrec.records import Groups
 
@@ -30,12 +29,8 @@ from sonarrec.records import Groups
 # Discs fewer than FEW_BEAMS beams wide need more, since one frame hardly shows their symbol.
 LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # Most new tracks arise by chance and end soon. So a track is judged from its LEAST_FRAMES-th frame
-# on, if its object exists with at least the probability LEAST_EXISTENCE. Its averaged picture
-# changes little from frame to frame. So after CONVERGED_FRAMES frames every JUDGED_EVERY-th is
-# judged. In the frames between these its judgement is used if it was SURE; else each of them has a
-# judgement of its own.
-CONVERGED_FRAMES, JUDGED_EVERY, LEAST_EXISTENCE = 8, 3, 0.5
-SURE = 0.97  # probability of one ID, or of none: .9 loses a third of the gain (tiny discs)
+# on, if its object exists with at least the probability LEAST_EXISTENCE.
+LEAST_EXISTENCE = 0.5
 # Hidden arcs are looked for and left out only if an ID has at least this probability.
 LIKELY = 0.4
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
@@ -54,19 +49,6 @@ class Classifier(Protocol):
         features: (n, K, F). smear: (n,) the beam's sigma across the line of sight, in disc radii.
         """
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class _Judged:
-    """What the model says of n objects.
-
-    probabilities: (n, K + 1). rotation, rotation_sigma: (n, K) steps; the rotation is counted from
-    the line of sight at the track's beginning.
-    """
-
-    probabilities: FloatArray
-    rotation: FloatArray
-    rotation_sigma: FloatArray
 
 
 class AppearanceMeasurement:
@@ -89,12 +71,7 @@ class AppearanceMeasurement:
             sampler.bands, sampler.radii, landmarks, correlation_length=config.alike_radii
         )
         self._model = model
-        # _earlier: row 0 is an unknown object. The others are the last judgements of the tracks in
-        # view or remembered. _rows: their rows by (track number, episode).
-        self._rows: dict[tuple[int, int], int] = {}
-        ids = len(landmarks.ids)
-        nothing = np.zeros((1, ids)), np.full((1, ids), np.nan)
-        self._earlier = _Judged(np.full((1, ids + 1), 1 / (ids + 1)), *nothing)
+        self._ids = len(landmarks.ids)
         self._belief = TrackBelief(len(landmarks.ids), remember_frames)
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
         self._radius_m = landmarks.radius_m
@@ -107,9 +84,19 @@ class AppearanceMeasurement:
         """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated."""
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
-        steps, _ = rounded_steps(tracked.sight_deg)
-        judged, row = self._judged(groups, tracked, evidence, smear, steps)
-        probabilities = self._belief(groups, evidence, judged.probabilities[row])
+        # Judge the tracks that are likely to be objects; of the others nothing is known.
+        likely = evidence.frames >= LEAST_FRAMES
+        likely &= tracked.existence >= LEAST_EXISTENCE
+        due = np.flatnonzero(likely | self._model.every_frame)
+        description = self._describe(
+            evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+        )
+        n, ids = len(smear), self._ids
+        of_frames = np.full((n, ids + 1), 1 / (ids + 1))
+        rotation, rotation_sigma = np.zeros((n, ids)), np.full((n, ids), np.nan)
+        of_frames[due] = self._probabilities(description, evidence, tracked.existence, smear, due)
+        rotation[due], rotation_sigma[due] = description.rotation, description.rotation_sigma
+        probabilities = self._belief(groups, evidence, of_frames)
         best, _ = likeliest(probabilities)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
@@ -117,70 +104,10 @@ class AppearanceMeasurement:
         enough_evidence &= tracked.in_view
         return Beliefs(
             probabilities,
-            judged.rotation[row, best] - steps,
-            judged.rotation_sigma[row, best],
+            rotation[np.arange(n), best],
+            rotation_sigma[np.arange(n), best],
             enough_evidence,
         )
-
-    def _judged(
-        self,
-        groups: Sequence[Groups],
-        tracked: Groups,
-        evidence: Evidence,
-        smear: FloatArray,
-        steps: IntArray,
-    ) -> tuple[_Judged, IndexArray]:
-        """Judgements by the model, and for each of n objects the row that holds its judgement.
-
-        tracked: the n of all groups. steps: (n,) rotation of the line of sight since the track
-        began, in whole steps.
-        """
-        rows = self._rows
-        due, between = list[int](), list[int]()
-        first = len(self._earlier.probabilities)
-        row = np.zeros(len(smear), np.intp)
-        keys = [*zip(tracked.numbers.tolist(), evidence.episodes.tolist(), strict=True)]
-        ages = zip(evidence.frames.tolist(), tracked.existence.tolist(), strict=True)
-        for i, (key, (frames, existence)) in enumerate(zip(keys, ages, strict=True)):
-            likely = frames >= LEAST_FRAMES and existence >= LEAST_EXISTENCE
-            wanted = (
-                key not in rows
-                or frames <= CONVERGED_FRAMES
-                or (frames + key[0]) % JUDGED_EVERY == 0
-            )
-            if (likely and wanted) or self._model.every_frame:
-                rows[key] = first + len(due)
-                due.append(i)
-            elif likely:
-                between.append(i)
-            row[i] = rows.get(key, 0)
-
-        def judge(indices: list[int]) -> _Judged:
-            existence = tracked.existence
-            description = self._describe(
-                evidence.brightness[indices],
-                evidence.count[indices],
-                existence[indices],
-                smear[indices],
-            )
-            return _Judged(
-                self._probabilities(description, evidence, existence, smear, indices),
-                description.rotation + steps[indices, None],
-                description.rotation_sigma,
-            )
-
-        judged = joined([self._earlier, judge(due)])
-        unsure = judged.probabilities.max(axis=1) < SURE
-        if between := [i for i in between if unsure[row[i]]]:
-            row[between] = len(judged.probabilities) + np.arange(len(between))
-            judged = joined([judged, judge(between)])
-        last = groups[-1]
-        known = {*last.numbers.tolist(), *last.remembered.tolist()}
-        kept = [key for key in rows if key[0] in known]
-        of_kept = [0, *(rows[key] for key in kept)]
-        self._earlier = _Judged(*(getattr(judged, f.name)[of_kept] for f in fields(judged)))
-        self._rows = {key: i for i, key in enumerate(kept, 1)}
-        return judged, row
 
     def _probabilities(
         self,
@@ -188,7 +115,7 @@ class AppearanceMeasurement:
         evidence: Evidence,
         existence: FloatArray,
         smear: FloatArray,
-        indices: Sequence[int],
+        indices: IndexArray,
     ) -> FloatArray:
         """(m, K + 1) by the model, of the m objects at these indices; description: of these.
 
@@ -201,7 +128,7 @@ class AppearanceMeasurement:
         likely = np.flatnonzero(probabilities[:, :-1].max(axis=1, initial=0) >= LIKELY)
         if not len(likely):
             return probabilities
-        row = np.asarray(indices)[likely]
+        row = indices[likely]
         hidden = self._describe.hidden(evidence.brightness[row], evidence.count[row])
         some = hidden.any(axis=1)
         if some.any():
