@@ -16,6 +16,7 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table, begins
 from sonarrec.errors import UsageError
+from sonarrec.passes import pass_begins
 from sonarrec.results.columns import in_order
 from sonarrec.results.read import LogResults
 from sonarrec.sonar import Sonar, sonar_from
@@ -30,8 +31,6 @@ ROUNDING_M = 1e-9
 PAPER_MIN_VISIBLE = 0.5
 """The share of a disc in view from which protocol paper counts it. TP + FN of Tables 4 and 5 are
 those of frames with its centre, or half the disc, in view."""
-PASS_GAP = 10
-"""A pass may have gaps of so many frames, so that a shake of the sonar does not end it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +187,7 @@ def matched(
     **others: Any,
 ) -> Matched:
     """The log with its passes and units. truths, claims: of Matched, without these and cells."""
-    passes, passage = find_passes(truths, stretch)
+    passes, passage = find_passes(truths, frame, stretch)
     unit = unit_of_frames(passes, stretch)
     of_truth = np.where(passage >= 0, np.append(passes["unit"], 0)[passage], unit[truths["at"]])
     index = np.full(max(ids, default=0) + 1, 0)
@@ -222,23 +221,23 @@ def _position_columns(position: FloatArray | None, count: int, rows: Any) -> dic
 # counted as independent, every difference would look significant.
 
 
-def find_passes(truths: Table, stretch: IntArray) -> tuple[Table, IntArray]:
+def find_passes(truths: Table, frame: IntArray, stretch: IntArray) -> tuple[Table, IntArray]:
     """(passes of Matched, without frame numbers; of each truth its pass, -1 if too little of it is
     in view).
 
-    A pass is a run of frames of one stretch with the whole landmark in view and gaps of at most
-    PASS_GAP frames; landmarks of one ID that are in view together are one pass. Passes that overlap
-    by more than half of the shorter one are one unit, since landmarks seen together are seen
-    equally well.
+    The frames of a pass are those with the whole landmark in view; landmarks of one ID that are in
+    view together are one pass. Passes that overlap by more than half of the shorter one are one
+    unit, since landmarks seen together are seen equally well.
+
+    frame, stretch: (F,) as in LogResults.
     """
     counted = np.flatnonzero(truths["strict"])
     counted = counted[np.lexsort((truths["at"][counted], truths["landmark"][counted]))]
-    frame, landmark = truths["at"][counted], truths["landmark"][counted]
-    new = begins(landmark, stretch[frame])
-    new[1:] |= np.diff(frame) > PASS_GAP + 1
+    at, landmark = truths["at"][counted], truths["landmark"][counted]
+    new = pass_begins(frame[at], stretch[at], landmark)
     begin = np.flatnonzero(new)
-    end = np.append(begin[1:], len(frame))[: len(begin)] - 1
-    first, last = frame[begin], frame[end]
+    end = np.append(begin[1:], len(at))[: len(begin)] - 1
+    first, last = at[begin], at[end]
     order = np.lexsort((last, first))
     passage = np.full(len(truths), -1)
     passage[counted] = np.argsort(order)[np.cumsum(new) - 1]

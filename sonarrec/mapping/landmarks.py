@@ -23,9 +23,9 @@ from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
+from sonarrec.passes import pass_begins
 from sonarrec.records import Fan
 from sonarrec.results.read import ROWS, SIGMAS, estimate_tables, positions
-from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.read import line_number
 
 # How errors are correlated within a pass, chosen on tuning seeds.
@@ -176,13 +176,12 @@ def find_passes(
     usable = np.isfinite(path.pose[estimates.row]).all(axis=1) & (ground > 0)
     order = np.lexsort([estimates.row, estimates.track, estimates.landmark])
     order = order[usable[order]]
-    gap = np.diff(path.frame[estimates.row[order]]) > PASS_GAP
-    gap |= np.diff(path.stretch[estimates.row[order]]) != 0
-    ends = gap | np.any([np.diff(v[order]) for v in (estimates.landmark, estimates.track)], axis=0)
+    row, landmark, track = (v[order] for v in (estimates.row, estimates.landmark, estimates.track))
+    begins = pass_begins(path.frame[row], path.stretch[row], landmark, track)
     periods_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
     passes = [
         _placed(estimates, one, path, periods_deg[int(estimates.landmark[one[0]])], fan)
-        for one in np.split(order, np.flatnonzero(ends) + 1)
+        for one in np.split(order, np.flatnonzero(begins)[1:])
         if len(one)
     ]
     return sorted(passes, key=lambda found: int(found.row[0]))

@@ -20,6 +20,7 @@ from sonarrec.evaluation.figures import METRICS, over_units, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.geometry import floor_depth
+from sonarrec.passes import PASS_GAP
 from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, Shown
@@ -33,7 +34,7 @@ from sonarrec.reports.logs import (
 from sonarrec.reports.overview import LogRow, SharedMistake
 from sonarrec.reports.template import fill
 from sonarrec.results.run_file import RunFile, flat
-from sonarrec.results.sightings import PASS_GAP, Sighting
+from sonarrec.results.sightings import Sighting
 
 MOST_TRACKS = 12
 MOST_SIGHTINGS = 40

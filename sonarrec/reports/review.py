@@ -33,6 +33,7 @@ from sonarrec.errors import (
 from sonarrec.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.mapping.path import MOVED, measured_path, read_frames
 from sonarrec.overlays.overlay import find_both
+from sonarrec.passes import ended
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source
@@ -48,7 +49,6 @@ from sonarrec.results.read import (
     why_incomplete,
 )
 from sonarrec.results.run_file import LogOptions
-from sonarrec.results.sightings import PASS_GAP
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.tables.read import read_table
 from sonarrec.truth.check import misfit
@@ -256,11 +256,11 @@ def _of_tracks(
 
 def _split(rows: Iterable[_Row], stretch: Mapping[int, int]) -> list[list[_Row]]:
     """Rows of one landmark, rising in frame, as passes: each row goes on with the nearest pass that
-    ended at most PASS_GAP frames ago in its stretch. stretch: the number of each frame's."""
+    has not ended, in its stretch. stretch: the number of each frame's."""
     passes: list[list[_Row]] = []
     for row in rows:
         here = (p for p in passes if stretch[p[-1].frame] == stretch[row.frame])
-        going = [p for p in here if 0 < row.frame - p[-1].frame <= PASS_GAP + 1]
+        going = [p for p in here if p[-1].frame < row.frame and not ended(p[-1].frame, row.frame)]
         if going:
             min(going, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
         else:

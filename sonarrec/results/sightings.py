@@ -13,14 +13,12 @@ from typing import Any
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
+from sonarrec.passes import ended
 from sonarrec.records import Estimate, Fan, follows
 from sonarrec.results.columns import SIGHTING_COLUMNS, Column, line_of, text_cell
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import Stretches
-
-PASS_GAP = 10
-"""A pass ends after so many frames without a declaration, or where its stretch ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +152,8 @@ class Sightings:
     def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
         """Add the next frame; returns the passes that ended before it, in order of their ends."""
         begins = self._stretches.begins(frame, timestamp_ns)
-        ended = [k for k, p in self._open.items() if begins or frame - p.last_frame > PASS_GAP]
-        passes = [self._open.pop(key) for key in ended]
+        over = [k for k, p in self._open.items() if begins or ended(p.last_frame, frame)]
+        passes = [self._open.pop(key) for key in over]
         for e in estimates:
             if not e.declared:
                 continue

@@ -61,7 +61,7 @@ def spans(case) -> list[tuple[int, int, int]]:
 
 
 def test_passes_end_where_a_landmark_stays_away() -> None:
-    truth = seen(1, 5, 20) + seen(1, 31, 40) + seen(1, 60, 70) + seen(2, 10, 12)
+    truth = seen(1, 5, 20) + seen(1, 30, 40) + seen(1, 60, 70) + seen(2, 10, 12)
     truth += [(f, 3, 0, 0, False) for f in range(80)]  # partly in view only
     assert spans(matched(100, truth, [])) == [(1, 5, 40), (2, 10, 12), (1, 60, 70)]
 
