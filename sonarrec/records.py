@@ -199,8 +199,9 @@ class Estimate:
     landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN if the method has none. sight_deg, in_view: as in
-    Groups. episode: as in Evidence. These three are not written. corners: of a drawn plate that was
-    seen, (4, 2) slant range (m) and bearing (deg), clockwise in the image from the far left on.
+    Groups. episode: as in Evidence. enough_evidence: as in Beliefs. These four are not written.
+    corners: of a drawn plate that was seen, (4, 2) slant range (m) and bearing (deg), clockwise in
+    the image from the far left on.
     """
 
     method: str
@@ -221,6 +222,7 @@ class Estimate:
     sight_deg: float = 0.0
     episode: int = 0
     in_view: bool = True
+    enough_evidence: bool = True
     corners: FloatArray | None = None
 
     @property

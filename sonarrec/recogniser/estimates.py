@@ -129,6 +129,7 @@ class Estimates:
                 sight_deg=float(objects.sight_deg[i]),
                 episode=int(episodes[i]),
                 in_view=bool(objects.in_view[i]),
+                enough_evidence=bool(beliefs.enough_evidence[i]),
                 corners=corners[i],
             )
             for i in range(len(positions))

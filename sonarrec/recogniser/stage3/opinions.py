@@ -37,6 +37,8 @@ class Opinion:
     """Sum of the weights."""
     frames: int = 0
     """Number of frames."""
+    with_evidence: int = 0
+    """By hindsight, in how many frames an ID could be declared (see Beliefs)."""
     declared: dict[int, int] = field(default_factory=dict)
     """By hindsight, in how many frames each ID was declared."""
     orientations: dict[int, tuple[float, float, float]] = field(default_factory=dict)
@@ -59,6 +61,7 @@ class Opinion:
         self.log_beliefs += other.log_beliefs
         self.weight += other.weight
         self.frames += other.frames
+        self.with_evidence += other.with_evidence
         self.beliefs_sum += other.beliefs_sum
         for landmark, frames in other.declared.items():
             self.declared[landmark] = self.declared.get(landmark, 0) + frames
