@@ -39,7 +39,7 @@ MOST_LINES = {
     "evaluation": 3727,
     "geometry": 415,
     "learning": 556,
-    "mapping": 1348,
+    "mapping": 1380,
     "overlays": 548,
     "readers": 5893,
     "recogniser": 6418,

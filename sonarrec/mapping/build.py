@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from sonarrec.mapping.landmarks import (
     find_passes,
     frames_of,
     join,
+    moved,
     on_path,
     read_declared,
 )
@@ -146,8 +148,19 @@ def make_map(
         diagnostics.problem(*of.problems)
     # Without poses each path has axes of its own.
     of_axes = [[log] for log in logs] if alone else [logs]
-    every = [landmark for part in of_axes for landmark in join(part, landmark_set)]
-    kept = [one for one in every if frames_of(one.members) >= min_frames]
+    kept, left_out = list[Landmark](), 0
+    for part in of_axes:
+        found_there = join(part, landmark_set)
+        clear = [one for one in found_there if frames_of(one.members) >= min_frames]
+        for i, k in moved(clear, landmark_set):
+            apart_m = math.dist(clear[i].position, clear[k].position)
+            diagnostics.note(
+                f"landmarks {len(kept) + i + 1} and {len(kept) + k + 1} (ID.{clear[i].id}) lie "
+                f"{apart_m:.2f} m apart, so they are one landmark in passes that disagree by more "
+                "than 5 sigma; was it moved, or are the poses wrong?"
+            )
+        left_out += len(found_there) - len(clear)
+        kept += clear
     for number, one in enumerate(kept, 1):
         if (others := frames_of(one.others)) >= min_frames:
             diagnostics.note(
@@ -155,9 +168,7 @@ def make_map(
                 "frames; was it moved, or misread? (other_frames of map.csv)"
             )
     ros_axes = all(log.ros_axes for log in logs)
-    return SiteMap(
-        landmark_set, kept, len(every) - len(kept), logs, len(used), diagnostics, ros_axes
-    )
+    return SiteMap(landmark_set, kept, left_out, logs, len(used), diagnostics, ros_axes)
 
 
 def _read_log(

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import combinations, groupby, product
 from operator import attrgetter
 from pathlib import Path
 
@@ -49,6 +49,8 @@ landmark do not exceed."""
 GATE_POSITION = 13.82  # the same for the position alone, if an orientation is not known
 ONE_DISC = 0.75
 """Passes nearer than this, in disc diameters, are of one disc: two discs cannot overlap."""
+MOVED = 25.0
+"""Squared Mahalanobis distance of two positions of one disc from which it was moved: 5 sigma."""
 ELLIPSE_CORNERS = 48
 OF_TRACK = ("frame", "landmark", "object", "score")
 POLAR = ("range_m", "bearing_deg", "orientation_deg")
@@ -286,7 +288,8 @@ class Landmark:
 def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]:
     """The landmarks of a map, in the order of the IDs in the set.
 
-    Of landmarks that would overlap the one declared most is kept; the rest are its `others`.
+    Of landmarks that would overlap the one declared most is kept; the rest are its `others`. One
+    that was moved is two landmarks (see `moved`).
     """
     disc_m = ONE_DISC * 2 * landmark_set.radius_m
     found: list[Landmark] = []
@@ -302,7 +305,7 @@ def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]
     weight = [sum(len(one.row) * one.score for one in landmark.members) for landmark in found]
     for n in sorted(range(len(found)), key=lambda n: -weight[n]):
         near = (k for k in others if math.dist(found[k].position, found[n].position) < disc_m)
-        kept = next(near, None)
+        kept = next((k for k in near if not _moved(found[k], found[n])), None)
         if kept is None:
             others[n] = []
         else:
@@ -314,9 +317,9 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
     """For each of p passes of one ID, sorted by log and time, the number of its landmark.
 
     Each pass in turn joins the landmark that it fits best, by its fit to the nearest pass of that,
-    or begins a new one. Passes seen at the same time in two positions belong to two landmarks.
-    period_deg: after which the symbol looks the same. disc_m: distance below which two passes are
-    of one disc.
+    or begins a new one. Passes seen at the same time in two positions belong to two landmarks, and
+    so do passes at different times whose positions differ by MOVED. period_deg: after which the
+    symbol looks the same. disc_m: distance below which two passes are of one disc.
     """
 
     def column(name: str) -> FloatArray:
@@ -328,9 +331,9 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
     first, last = np.array([one.row[[0, -1]] for one in passes]).reshape(-1, 2).T
     drift, drift_yaw = column("drift"), column("drift_yaw")
 
-    def fit(i: int) -> tuple[FloatArray, FloatArray]:
+    def fit(i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(i,) squared Mahalanobis distances from pass i to those before, relative to that of the
-        gate, and (i,) distances in m."""
+        gate, (i,) those of the positions alone, and (i,) distances in m."""
         offset, path = position[:i] - position[i], passes[i].path
         total, spread = covariance[:i] + covariance[i], variance[:i] + variance[i]
         leaning = HEIGHT_SIGMA_M * (lean[:i] - lean[i])
@@ -347,17 +350,35 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
         rotation = orientation[:i] - orientation[i]
         rotation = np.mod(rotation + period_deg / 2, period_deg) - period_deg / 2
         full = (squared + rotation**2 / spread) / GATE
-        return np.where(np.isfinite(full), full, squared / GATE_POSITION), np.hypot(*offset.T)
+        relative = np.where(np.isfinite(full), full, squared / GATE_POSITION)
+        return relative, squared, np.hypot(*offset.T)
 
     group = np.full(len(passes), -1)
     for i in range(len(passes)):
-        fits, distance = fit(i)
-        fits = np.where(distance < disc_m, np.minimum(fits, distance / disc_m * 0.5), fits)
+        fits, squared, distance = fit(i)
         together = (log[:i] == log[i]) & (first[:i] <= last[i]) & (last[:i] >= first[i])
+        same = (distance < disc_m) & (together | (squared <= MOVED))
+        fits = np.where(same, np.minimum(fits, distance / disc_m * 0.5), fits)
         fits[np.isin(group[:i], group[:i][together & (distance >= disc_m)])] = np.inf
         joins = fits.min(initial=1) < 1
         group[i] = group[fits.argmin()] if joins else group.max() + 1
     return group.tolist()
+
+
+def _moved(one: Landmark, other: Landmark) -> bool:
+    """Whether two landmarks that would overlap are one that was moved: of one ID, never at once."""
+    return one.id == other.id and not any(
+        a.path is b.path and a.row[0] <= b.row[-1] and b.row[0] <= a.row[-1]
+        for a, b in product(one.members, other.members)
+    )
+
+
+def moved(landmarks: Sequence[Landmark], landmark_set: LandmarkSet) -> Iterator[tuple[int, int]]:
+    """Pairs of landmarks of a map, as indices, that are two places of one that was moved."""
+    disc_m = ONE_DISC * 2 * landmark_set.radius_m
+    for (i, one), (k, other) in combinations(enumerate(landmarks), 2):
+        if _moved(one, other) and math.dist(one.position, other.position) < disc_m:
+            yield i, k
 
 
 def _landmark(passes: list[Pass], period_deg: float) -> Landmark:

@@ -8,7 +8,7 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +217,22 @@ def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
     rows = read_rows(dive / "map" / "map.csv")
     found = [(row["landmark"], row["other_frames"]) for row in rows]
     assert found == [("1", "0"), ("1", "0"), ("2", "5")]
+
+
+@pytest.mark.parametrize(("by_m", "places"), [(0.02, 1), (0.2, 2)])
+def test_a_landmark_that_was_moved_has_two_places(by_m: float, places: int, tmp_path: Path) -> None:
+    """Within a disc of where it lay: two discs could not lie there."""
+    path, (disc, _, other) = there_and_back(60), SITE
+    results(tmp_path / "site" / "one", path, path, (disc, other))
+    there = replace(disc, x=disc.x + by_m)
+    results(tmp_path / "site" / "two", path, path, (there, other), seed=1)
+    told = sonarrec("map", tmp_path / "site", code=0).stderr
+    assert ("moved" in told) == (places == 2)
+    rows = read_rows(tmp_path / "site" / "map" / "map.csv")
+    assert [row["landmark"] for row in rows] == ["1"] * places + ["2"]
+    if places == 2:
+        for lay, row in zip((disc, there), rows, strict=False):
+            assert math.hypot(float(row["x_m"]) - lay.x, float(row["y_m"]) - lay.y) < 0.03
 
 
 def test_tracks_are_needed(dive: Path) -> None:
