@@ -108,6 +108,7 @@ class Frame:
 
     index: 0-based position in the log (unusable frames keep their number).
     timestamp_ns: time in ns; if the log carries none, from the index and the frame rate.
+    stretch: number of its stretch, from 0 (see stretches.py).
     pixels: uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image
     (range bins, beams). polar: how a polar image fills the fan.
     stamps: all times that the log states for the frame.
@@ -119,6 +120,7 @@ class Frame:
     fan: Fan
     stamps: Stamps = NO_STAMPS
     polar: PolarImages | None = None
+    stretch: int = 0
 
     @property
     def image(self) -> ByteImage:
@@ -236,6 +238,7 @@ class FrameResult:
     """The results of one frame: a row of frames.csv and its rows of estimates.csv.
 
     motion: of the sonar since the frame before; None for the first frame, and if not measured.
+    stretch: as in Frame.
     """
 
     index: int
@@ -244,6 +247,7 @@ class FrameResult:
     tracks: int
     estimates: tuple[Estimate, ...]
     motion: Motion | None = None
+    stretch: int = 0
 
 
 YEAR_2000_NS = 946_684_800 * 10**9

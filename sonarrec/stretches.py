@@ -1,13 +1,15 @@
 """Where a recording was paused or its clock was set: there a stretch ends, and with it all tracks.
 
-What was seen before a pause says nothing of what follows, however the frames are numbered. One rule
-decides this for frames as they come and for the rows of frames.csv; it looks only back.
+What was seen before a pause says nothing of what follows, however the frames are numbered. The rule
+looks only back. The reader applies it and numbers the stretches: `Frame.stretch`, and a column of
+frames.csv. Only tables of other programs, which lack the column, are numbered by their times.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +68,14 @@ def stretch_numbers(frame: IntArray, timestamp_ns: IntArray | None) -> IntArray:
     return np.cumsum([begins(*row) for row in rows], dtype=np.int64)
 
 
+def stretches_of(frames: Mapping[str, Any]) -> IntArray:
+    """(F,) the stretch of each frame of a frames.csv. frames: its columns, by rising frame; by
+    their times if it has no column `stretch`."""
+    if "stretch" in frames:
+        return np.asarray(frames["stretch"])
+    return stretch_numbers(frames["frame"], frames.get("timestamp_ns"))
+
+
 class Breaks:
     """The notes on the times of a log's frames."""
 
@@ -79,13 +89,13 @@ class Breaks:
         self._paused_at = -1  # the frame after the last pause
         self._jump = ""  # the first
 
-    def add(self, frame: int, timestamp_ns: int) -> None:
-        """Add the next frame."""
+    def add(self, frame: int, timestamp_ns: int) -> bool:
+        """Add the next frame; whether it begins a stretch."""
         begins = self._stretches.begins(frame, timestamp_ns)
         (before, before_ns), self._before = self._before, (frame, timestamp_ns)
         if before < 0:
             self._first_ns = timestamp_ns
-            return
+            return False
         step = timestamp_ns - before_ns
         is_pause = begins and 0 < step <= YEAR_NS
         self._count[is_pause] += begins
@@ -99,6 +109,7 @@ class Breaks:
                 back = f"{-step / 1e9:.1f} s" if -step < 100 * 10**9 else duration(-step)
                 self._jump = f"times go back by {back} at frame {frame} (were two recordings "
                 self._jump += "joined, or "
+        return begins
 
     def pauses(self) -> Iterator[str]:
         """A line on the pauses, if there are any."""

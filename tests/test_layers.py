@@ -39,16 +39,16 @@ MOST_LINES = {
     "evaluation": 3727,
     "geometry": 415,
     "learning": 556,
-    "mapping": 1380,
-    "overlays": 548,
-    "readers": 5893,
-    "recogniser": 6418,
+    "mapping": 1390,
+    "overlays": 545,
+    "readers": 5894,
+    "recogniser": 6419,
     "reports": 2121,
-    "results": 1861,
+    "results": 1868,
     "runs": 1766,
     "simulation": 2504,
     "tables": 982,
-    "truth": 1241,
+    "truth": 1236,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -41,7 +41,7 @@ def in_map(frames: list[int]) -> int:
         sigma=np.tile((0.01, 0.1, 1.0), (n, 1)),
         rows=n,
     )
-    path = path_from_poses(every, every * STEP_NS, still, NO_DRIFT)
+    path = path_from_poses(every, every * STEP_NS, 0 * every, still, NO_DRIFT)
     return len(mapping.find_passes(declared, path, BASIN, make_fan()))
 
 

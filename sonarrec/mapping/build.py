@@ -191,7 +191,8 @@ def _read_log(
             f"{folder}: frames.csv has no timestamp_ns, which is needed to find poses"
         )
     else:
-        paths = [path_from_poses(frames["frame"], frames["timestamp_ns"], poses, drift)]
+        times = frames["timestamp_ns"]
+        paths = [path_from_poses(frames["frame"], times, frames["stretch"], poses, drift)]
         ros_axes = "topic" in poses.source
     fan = run.fan(sonar)
     if fan is None:

@@ -17,7 +17,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.geometry import PoseTable
-from sonarrec.stretches import MOST_LISTED, stretch_numbers
+from sonarrec.stretches import MOST_LISTED, stretches_of
 from sonarrec.tables.read import Kind, Table, read_table
 
 # Standard errors that are common to all steps of measured motion, as a share of the motion. Lengths
@@ -50,27 +50,24 @@ NO_DRIFT = Drift()
 class SonarPath:
     """Where the sonar was in every frame of one log, or of a part of it.
 
-    frame: (F,) numbers, rising. timestamp_ns: (F,). pose: (F, 3) yaw (deg, positive to the right),
-    x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if not known. from_poses:
-    whether the path comes from a table or topic of poses; else it was measured, from the first
-    frame on. sums: (F, 9) over the steps up to each frame, see `_sums`. common: (F, 3) sums over
-    the rotations of a measured path while the sonar stood: of the rotation (rad), and of the
-    rotation times x and times y. origin: (2,) the first known position. In the sums, x and y are
-    relative to it, since squares of large coordinates, such as UTM's, would leave few digits.
+    frame: (F,) numbers, rising. timestamp_ns, stretch: (F,) as in Frame. pose: (F, 3) yaw (deg,
+    positive to the right), x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if
+    not known. from_poses: whether the path comes from a table or topic of poses; else it was
+    measured, from the first frame on. sums: (F, 9) over the steps up to each frame, see `_sums`.
+    common: (F, 3) sums over the rotations of a measured path while the sonar stood: of the rotation
+    (rad), and of the rotation times x and times y. origin: (2,) the first known position. In the
+    sums, x and y are relative to it, since squares of large coordinates, such as UTM's, would leave
+    few digits.
     """
 
     frame: IntArray
     timestamp_ns: IntArray
+    stretch: IntArray
     pose: FloatArray
     from_poses: bool
     sums: FloatArray
     common: FloatArray
     origin: FloatArray
-
-    @property
-    def stretch(self) -> IntArray:
-        """(F,) the number of each frame's stretch."""
-        return stretch_numbers(self.frame, self.timestamp_ns)
 
     @property
     def known(self) -> IntArray:
@@ -113,9 +110,12 @@ class SonarPath:
 
 
 def path_from_poses(
-    frame: IntArray, timestamp_ns: IntArray, poses: PoseTable, drift: Drift
+    frame: IntArray, timestamp_ns: IntArray, stretch: IntArray, poses: PoseTable, drift: Drift
 ) -> SonarPath:
-    """The path that poses give. frame, timestamp_ns: (F,). Drift begins at the first known pose."""
+    """The path that poses give. frame, timestamp_ns, stretch: (F,).
+
+    Drift begins at the first known pose.
+    """
     pose = poses.poses_at(timestamp_ns)
     first = int(np.isfinite(pose).all(axis=1).argmax())
     minutes = np.maximum(np.diff(timestamp_ns, prepend=timestamp_ns[:1]) / 60e9, 0)
@@ -123,17 +123,23 @@ def path_from_poses(
     shift, rotation = minutes * drift.position_m**2, minutes * math.radians(drift.yaw_deg) ** 2
     origin = np.nan_to_num(pose[first, 1:])
     sums = _sums(pose[:, 1:] - origin, np.column_stack([shift, 0 * shift, shift]), rotation)
-    return SonarPath(frame, timestamp_ns, pose, True, sums, np.zeros((len(frame), 3)), origin)
+    return SonarPath(
+        frame, timestamp_ns, stretch, pose, True, sums, np.zeros((len(frame), 3)), origin
+    )
 
 
 def measured_path(
-    frame: IntArray, timestamp_ns: IntArray, moved: FloatArray, sigma: FloatArray
+    frame: IntArray,
+    timestamp_ns: IntArray,
+    stretch: IntArray,
+    moved: FloatArray,
+    sigma: FloatArray,
 ) -> SonarPath:
     """The path of a sonar whose motion was measured. It starts at 0 and ends at unknown motion.
 
-    frame, timestamp_ns: (F,). moved: (F, 3) the motion to each frame from the one before, as in
-    MOVED; NaN if not known. sigma: (F, 3) its standard errors. Those of the first frame are not
-    used.
+    frame, timestamp_ns, stretch: (F,). moved: (F, 3) the motion to each frame from the one before,
+    as in MOVED; NaN if not known. sigma: (F, 3) its standard errors. Those of the first frame are
+    not used.
     """
     moved, sigma = moved.copy(), sigma.copy()
     moved[:1] = sigma[:1] = 0
@@ -150,7 +156,7 @@ def measured_path(
     rotation = np.where((moved[:, 1:] == 0).all(axis=1), np.radians(moved[:, 0]), 0.0)
     moments = np.column_stack([np.ones(len(x)), x, y])
     common = np.cumsum(rotation[:, None] * moments, axis=0)
-    return SonarPath(frame, timestamp_ns, pose, False, sums, common, np.zeros(2))
+    return SonarPath(frame, timestamp_ns, stretch, pose, False, sums, common, np.zeros(2))
 
 
 def _sums(position: FloatArray, shift: FloatArray, rotation: FloatArray) -> FloatArray:
@@ -171,13 +177,14 @@ def read_frames(folder: Path) -> Table:
 
     Raises SonarrecError if it cannot be read or if no frame was processed.
     """
-    kinds: dict[str, Kind] = {"frame": "whole", "timestamp_ns": "whole"}
+    kinds: dict[str, Kind] = dict.fromkeys(("frame", "timestamp_ns", "stretch"), "whole")
     kinds |= dict.fromkeys((*MOVED, *MOVED_SIGMA), "blank or number")
     table = read_table(folder / "frames.csv", kinds, ("frame",), FRAMES)
     if not len(table["frame"]):
         raise SonarrecError(f"{folder}: no frame was processed")
     _, first = np.unique(table["frame"], return_index=True)
-    return {name: column[first] for name, column in table.items()}
+    rows = {name: column[first] for name, column in table.items()}
+    return rows | {"stretch": stretches_of(rows)}
 
 
 def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) -> list[SonarPath]:
@@ -204,7 +211,7 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
     by_poses = np.isfinite(moved).all(axis=1) & ~np.isfinite(sigma[:, 0])
     sigma = np.where(np.isfinite(moved), np.nan_to_num(sigma), np.nan)
     times = table.get("timestamp_ns", still)
-    begins = np.diff(stretch_numbers(frame, times), prepend=0).astype(bool) & ~by_poses
+    begins = np.diff(table["stretch"], prepend=0).astype(bool) & ~by_poses
     first = np.flatnonzero(begins)
     if len(first):
         listed = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (
@@ -216,7 +223,9 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
         )
     paths = []
     for part in map(slice, [0, *first.tolist()], [*first.tolist(), len(frame)]):
-        path = measured_path(frame[part], times[part], moved[part], sigma[part])
+        path = measured_path(
+            frame[part], times[part], table["stretch"][part], moved[part], sigma[part]
+        )
         unknown = ~np.isfinite(path.pose).all(axis=1)
         if unknown.any():
             diagnostics.note(

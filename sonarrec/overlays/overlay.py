@@ -52,7 +52,6 @@ from sonarrec.results.run_file import (
 )
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar, sonar_from
-from sonarrec.stretches import Stretches
 from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_folder, check_output, replaced, writing
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
@@ -166,7 +165,6 @@ def overlay(
             )
         rows = read_estimates(folder / "estimates.csv", method, landmark_set, first.fan)
         history: deque[Moment] = deque(maxlen=STRIP_FRAMES)
-        begins, stretch = Stretches().begins, 0
         write: WriteFrame | None = None
         index, of_index, written = -1, tuple[Estimate, ...](), 0
         empty = {*spans}
@@ -177,8 +175,7 @@ def overlay(
                 index, of_index = next(rows, (sys.maxsize, ()))
             estimates = of_index if index == frame.index else ()
             # Frames before the span only show in the first strips.
-            stretch += begins(frame.index, frame.timestamp_ns)
-            history.append(Moment(frame.index, frame.timestamp_ns, estimates, stretch))
+            history.append(Moment(frame.index, frame.timestamp_ns, estimates, frame.stretch))
             if observe:
                 observe(recording.frame_count)
             if hits := {

@@ -125,6 +125,7 @@ class Log:
         self._raw.passed_over = range(0)  # an earlier pass may have set it
         numbered = enumerate(self._stored())
         used, before, repeats, breaks, start_ns = 0, None, Counter[str](), self._breaks(), 0
+        stretch = 0
         for index, stored in islice(numbered, span[1]):
             if stored.is_lost or (used and index < span[0]):
                 continue
@@ -148,8 +149,8 @@ class Log:
                 repeats["pictures"] += int(same and frame.pixels.any())
             start_ns = start_ns if before else frame.timestamp_ns
             before = frame
-            breaks.add(index, frame.timestamp_ns)
-            yield frame
+            stretch += breaks.add(index, frame.timestamp_ns)
+            yield replace(frame, stretch=stretch)
         if next(numbered, None) is None:  # the end of the log
             self.diagnostics.end_pass()
             if not used:

@@ -30,7 +30,6 @@ from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.records import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
-from sonarrec.stretches import Stretches
 
 SMI = "smi"
 FRAMEWORK = "framework"
@@ -41,8 +40,8 @@ class Tracked:
     """One frame after stage 2, with what stage 3 needs of its image.
 
     motion: of the sonar since the frame before. candidates: (n, 2) working pixels. scores: (n,) of
-    stage 1. evidence: of the groups. shapes: two arrays (n, L, ANGLES), the candidates' shape
-    matrices and which of their cells lie inside the fan; empty for plates.
+    stage 1. evidence: of the groups. stretch: as in Frame. shapes: two arrays (n, L, ANGLES), the
+    candidates' shape matrices and which of their cells lie inside the fan; empty for plates.
     """
 
     index: int
@@ -52,6 +51,7 @@ class Tracked:
     scores: FloatArray
     groups: Groups
     evidence: Evidence
+    stretch: int
     shapes: tuple[FloatArray, BoolArray] | tuple[()] = ()
 
 
@@ -80,8 +80,7 @@ class ThreeStages(ABC):
     _measurement: Measurement
     _estimates: Estimates
 
-    def __init__(self) -> None:
-        self._stretches = Stretches()  # for `step` alone
+    _stretch: int | None = None  # of the frame before, for `step` alone
 
     @abstractmethod
     def begin_stretch(self) -> None:
@@ -92,8 +91,9 @@ class ThreeStages(ABC):
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
-        if self._stretches.begins(frame.index, frame.timestamp_ns):
+        if self._stretch not in (None, frame.stretch):
             self.begin_stretch()
+        self._stretch = frame.stretch
         image = self.working_image(frame)
         candidates = self.stage1(image)
         tracked = self.stage2(frame, image, candidates)
@@ -138,6 +138,7 @@ class ThreeStages(ABC):
                     *islice(of_groups, len(f.groups.numbers)),
                 ),
                 motion=f.motion,
+                stretch=f.stretch,
             )
             for f in frames
         ]
@@ -168,7 +169,6 @@ class DiscStages(ThreeStages):
         if it is not to run. poses: of the sonar; where they give its motion, that is not measured
         in the images.
         """
-        super().__init__()
         select, features = config.candidates, config.features
         plane = working_plane(select.plane, fan, landmarks.radius_m, select.disc_radius_px)
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
@@ -225,6 +225,7 @@ class DiscStages(ThreeStages):
             scores=candidates.scores,
             groups=groups,
             evidence=evidence,
+            stretch=frame.stretch,
             shapes=(grey[:n], seen[:n]),
         )
 

@@ -412,7 +412,7 @@ def _poses(folder: Path) -> dict[int, list[float]]:
     frame, moved = table["frame"], np.column_stack([table[name] for name in MOVED])
     unknown = ~np.isfinite(moved).all(axis=1)
     moved[unknown] = 0
-    yaw, x, y = measured_path(frame, frame, moved, np.zeros_like(moved)).pose.T
+    yaw, x, y = measured_path(frame, frame, table["stretch"], moved, np.zeros_like(moved)).pose.T
     columns = [np.cos(np.radians(yaw)), np.sin(np.radians(yaw)), x, y, np.cumsum(unknown)]
     return dict(zip(frame.tolist(), np.column_stack(columns).round(6).tolist(), strict=True))
 

@@ -116,6 +116,7 @@ def frame_line(result: FrameResult, stamps: Stamps) -> str:
     values: dict[str, Any] = {
         "frame": result.index,
         "timestamp_ns": result.timestamp_ns,
+        "stretch": result.stretch,
         "candidates": result.candidates,
         "tracks": result.tracks,
         "log_time_ns": stamps.log,

@@ -49,7 +49,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import log_of, parent_of, part_of
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, tables_changed
 from sonarrec.sonar import Sonar
-from sonarrec.stretches import stretch_numbers
+from sonarrec.stretches import stretches_of
 from sonarrec.tables import natural_order
 from sonarrec.tables.outputs import free_name
 from sonarrec.tables.read import (
@@ -73,7 +73,8 @@ Recording = tuple[str | None, Hashable]
 class LogResults:
     """The results of all methods on one log: F frames, N estimates, K IDs.
 
-    frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None.
+    frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None. stretch: (F,)
+    numbers of their stretches.
     methods: names. The arrays below have one element per estimate. method: index into methods.
     frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
     position: (N, 2) metres in the fan plane, or None if not known.
@@ -90,6 +91,7 @@ class LogResults:
     fan: Fan | None
     frame: IntArray
     timestamp_ns: IntArray | None
+    stretch: IntArray
     methods: tuple[str, ...]
     method: IntArray
     frame_index: IntArray
@@ -103,11 +105,6 @@ class LogResults:
     strays: int
     finished: bool
     run: RunFile
-
-    @property
-    def stretch(self) -> IntArray:
-        """(F,) the number of each frame's stretch."""
-        return stretch_numbers(self.frame, self.timestamp_ns)
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -207,6 +204,7 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         fan=fan,
         frame=frame,
         timestamp_ns=frames["timestamp_ns"][order] if "timestamp_ns" in frames else None,
+        stretch=stretches_of({name: column[order] for name, column in frames.items()}),
         methods=methods,
         method=renumber[table["method"].codes[listed]],
         frame_index=np.searchsorted(frame, table["frame"][listed]),
@@ -299,18 +297,20 @@ def read_estimates(
 
 def declared_by_frame(
     folder: Path, landmarks: str | None, sonar: Sonar | None
-) -> Iterator[tuple[int, int, tuple[Estimate, ...]]]:
-    """(frame, its time in ns, declared estimates of all methods) of each frame, by number."""
+) -> Iterator[tuple[int, int, int, tuple[Estimate, ...]]]:
+    """(frame, its time in ns, its stretch, declared estimates of all methods), by rising frame."""
     run, frames = read_run(folder / "run.toml"), read_frames(folder)
-    times = frames.get("timestamp_ns", np.zeros_like(frames["frame"]))
     order = np.argsort(frames["frame"], kind="stable")
+    frames = {name: column[order] for name, column in frames.items()}
+    times = frames.get("timestamp_ns", np.zeros_like(order))
+    rows = zip(frames["frame"].tolist(), times.tolist(), stretches_of(frames).tolist(), strict=True)
     path, of = folder / "estimates.csv", (run.landmark_set(landmarks), run.fan(sonar))
     declared = _by_frame(path, *of, lambda table: table["declared"], False)
     found, estimates = next(declared, (-1, ()))
-    for frame, time in zip(frames["frame"][order].tolist(), times[order].tolist(), strict=True):
+    for frame, time, stretch in rows:
         while found < frame:  # it is not listed
             found, estimates = next(declared, (sys.maxsize, ()))
-        yield frame, time, estimates if found == frame else ()
+        yield frame, time, stretch, estimates if found == frame else ()
 
 
 def _by_frame(

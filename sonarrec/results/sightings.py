@@ -18,7 +18,6 @@ from sonarrec.records import Estimate, Fan, follows
 from sonarrec.results.columns import SIGHTING_COLUMNS, Column, line_of, text_cell
 from sonarrec.results.run_file import read_run
 from sonarrec.sonar import Sonar
-from sonarrec.stretches import Stretches
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +146,16 @@ class Sightings:
         self._fan, self._poses = fan, poses
         self._period_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
         self._open: dict[tuple[str, int, int | None], _Pass] = {}
-        self._stretches = Stretches()
+        self._stretch = 0  # of the frame before
 
-    def add(self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate]) -> list[Sighting]:
-        """Add the next frame; returns the passes that ended before it, in order of their ends."""
-        begins = self._stretches.begins(frame, timestamp_ns)
+    def add(
+        self, frame: int, timestamp_ns: int, estimates: Iterable[Estimate], stretch: int = 0
+    ) -> list[Sighting]:
+        """Add the next frame; returns the passes that ended before it, in order of their ends.
+
+        stretch: as in Frame.
+        """
+        begins, self._stretch = stretch != self._stretch, stretch
         over = [k for k, p in self._open.items() if begins or ended(p.last_frame, frame)]
         passes = [self._open.pop(key) for key in over]
         for e in estimates:
@@ -199,8 +203,8 @@ def read_sightings(
     from sonarrec.results.read import declared_by_frame  # imports pandas, which no run needs
 
     sightings, found = Sightings(run.landmark_set(landmarks)), list[Sighting]()
-    for frame, timestamp_ns, estimates in declared_by_frame(folder, landmarks, sonar):
-        found += sightings.add(frame, timestamp_ns, estimates)
+    for frame, timestamp_ns, stretch, estimates in declared_by_frame(folder, landmarks, sonar):
+        found += sightings.add(frame, timestamp_ns, estimates, stretch)
     return iter(found + sightings.close_all())
 
 

@@ -168,7 +168,9 @@ class ResultsWriter:
         self._written_s = monotonic()
         for result, _ in block:
             self.candidates += result.candidates
-            ended = self._gathered.add(result.index, result.timestamp_ns, result.estimates)
+            ended = self._gathered.add(
+                result.index, result.timestamp_ns, result.estimates, result.stretch
+            )
             self._passes += "".join(s.line() for s in ended)
         self._sightings.append(self._passes)
         self._passes = ""

@@ -28,7 +28,6 @@ from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.records import Fan
 from sonarrec.results.folders import possible_names
-from sonarrec.stretches import stretch_numbers
 from sonarrec.tables import composed
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.match import ReadLog, Truth, match_times, share_in_image, wrong_unit
@@ -294,7 +293,8 @@ def _frames(
 ) -> tuple[IntArray, IntArray, list[Fault]]:
     """(the frame numbers of these rows, -1 if the log has no such frame; their stretches; the
     faults)."""
-    numbers, stamps = np.array([(f.index, f.timestamp_ns) for f in log], dtype=np.int64).T
+    of_log = [(f.index, f.timestamp_ns, f.stretch) for f in log]
+    numbers, stamps, stretch = np.array(of_log, dtype=np.int64).T
     keys, last = table.keys[row], int(numbers.max())
     if table.key == "frame":
         known = np.isin(keys, numbers)
@@ -313,7 +313,7 @@ def _frames(
         elif 0 <= keys[n] <= last:
             text = f"frame {keys[n]} of the log cannot be read"
         faults.append(Fault(line[n], "frame", text))
-    return frames, stretch_numbers(numbers, stamps)[np.searchsorted(numbers, frames)], faults
+    return frames, stretch[np.searchsorted(numbers, frames)], faults
 
 
 class _Row(NamedTuple):

@@ -282,7 +282,7 @@ def test_errors_of_a_drifting_path_are_those_of_many_drawn() -> None:
     moved = np.column_stack([np.full(60, 3.0), np.full(60, 0.01), np.full(60, 0.08)])
     sigma = np.column_stack([np.full(60, 0.3), np.full(60, 0.004), np.full(60, 0.008)])
     frame = np.arange(60)
-    path = measured_path(frame, frame, moved, sigma)
+    path = measured_path(frame, frame, 0 * frame, moved, sigma)
     seen = np.array([0.5, 2.0])  # m to the right and ahead, in frames 20 and 50
 
     def placed(pose: FloatArray, row: int) -> FloatArray:
@@ -323,7 +323,9 @@ def test_told_poses_drift_as_stated_from_the_first_one(
     frame = np.arange(241)
     at = np.round(frame * 0.25e9).astype(np.int64)
     yaw, x, y = (np.full(241 - first, v) for v in (0.0, *origin))
-    path = path_from_poses(frame, at, pose_table("p", {}, at[first:], yaw, x, y), Drift(0.2, 6.0))
+    path = path_from_poses(
+        frame, at, 0 * frame, pose_table("p", {}, at[first:], yaw, x, y), Drift(0.2, 6.0)
+    )
     last, position = np.array([240]), np.array([[origin[0], origin[1] + 2]])
     share = (240 - first) / 240  # of a minute
     turned = share * np.radians(6) ** 2 * 2**2

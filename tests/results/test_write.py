@@ -68,7 +68,7 @@ def test_headers_are_the_contract_s(tmp_path):
     assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg"]
     assert (tmp_path / "log_a/frames.csv").read_bytes() == (
         b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns,"
-        b"dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg\n"
+        b"dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg,stretch\n"
     )
     assert [c.name for c in estimate_columns((7, 12))][10:13] == ["p_7", "p_12", "p_none"]
 
@@ -86,14 +86,29 @@ def test_what_is_written_is_what_was_estimated(tmp_path):
         writer.write(result(5, *given[:30]))
         writer.write(result(6), Stamps(log=1500000001, header=-7))
         writer.write(dataclasses.replace(result(7, *given[30:]), motion=told))
-        writer.write(dataclasses.replace(result(8), motion=seen))
+        writer.write(dataclasses.replace(result(8), motion=seen, stretch=3))
         writer.finish([])
     none, moved = [""] * 6, ["0.00000", "0.05000", "0.3000", "0.00123", "0.00200", "0.0312"]
     assert rows(tmp_path / "frames.csv")[1:] == [
-        ["5", "1250000000", "4", "2", "", "", "", *none],
-        ["6", "1500000000", "4", "2", "1500000001", "", "-7", *none],
-        ["7", "1750000000", "4", "2", "", "", "", "0.10000", "-0.02000", "-1.2500", "", "", ""],
-        ["8", "2000000000", "4", "2", "", "", "", *moved],
+        ["5", "1250000000", "4", "2", "", "", "", *none, "0"],
+        ["6", "1500000000", "4", "2", "1500000001", "", "-7", *none, "0"],
+        [
+            "7",
+            "1750000000",
+            "4",
+            "2",
+            "",
+            "",
+            "",
+            "0.10000",
+            "-0.02000",
+            "-1.2500",
+            "",
+            "",
+            "",
+            "0",
+        ],
+        ["8", "2000000000", "4", "2", "", "", "", *moved, "3"],
     ]
     header, *body = rows(tmp_path / "estimates.csv")
     assert len(body) == 40

@@ -19,6 +19,7 @@ from sonarrec.overlays import overlay as overlays
 from sonarrec.readers import open_log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.records import Frame, FrameResult
+from sonarrec.results.read import read_log
 from sonarrec.runs.run import run
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
@@ -45,7 +46,8 @@ def recognised(pause_ns: int) -> tuple[FrameResult, ...]:
             start_ns = START_NS + part * ((FRAMES - 1) * PERIOD_NS + pause_ns)
             for one in render(scene):
                 index, time_ns = part * FRAMES + one.index, start_ns + one.index * PERIOD_NS
-                yield Frame(index, time_ns, one.image, scene_fan(scene))
+                stretch = part * (pause_ns > PERIOD_NS)
+                yield Frame(index, time_ns, one.image, scene_fan(scene), stretch=stretch)
 
     stages = SideBySide([preset(p) for p in PRESETS], scene_fan(scenes[0]), scenes[0].landmark_set)
     return tuple(stages.recognise(frames()))
@@ -65,9 +67,7 @@ def test_no_track_goes_over_a_pause(name: str) -> None:
     before, after = tracks(recognised(5 * 10**9), name)
     assert before
     assert after
-    of_stage2 = [n for n in after if n < 1_000_000]  # others are of the second look
-    assert max(n for n in before if n < 1_000_000) < min(of_stage2)
-    assert not before & after
+    assert max(before) < min(after)
     going_on = tracks(recognised(PERIOD_NS), name)
     assert going_on[0] & going_on[1]  # the same frames without a pause
 
@@ -222,6 +222,16 @@ def joined(dive: Path, tmp_path: Path) -> Path:
     return folder
 
 
+def test_stretches_are_numbered_and_other_programs_need_not(dive: Path, joined: Path) -> None:
+    wanted = [n // FRAMES for n in range(3 * FRAMES)]
+    with open_log(dive) as log:
+        assert [frame.stretch for frame in log] == wanted
+    rows = read_rows(joined / "frames.csv")
+    assert [int(row["stretch"]) for row in rows] == wanted
+    write_rows(joined / "frames.csv", [{k: r[k] for k in ("frame", "timestamp_ns")} for r in rows])
+    assert read_log(joined).stretch.tolist() == wanted
+
+
 def test_sightings_and_passes_of_other_programs_end_there(joined: Path, tmp_path: Path) -> None:
     from sonarrec.results.sightings import read_sightings
 
@@ -373,7 +383,9 @@ def test_plates_are_followed_over_no_pause(tmp_path: Path) -> None:
         steps += [pause_ns, *[PERIOD_NS] * 5]
         times = START_NS + np.cumsum(steps)
         frames = [
-            replace(shown[n % 6], index=n, timestamp_ns=time)
+            replace(
+                shown[n % 6], index=n, timestamp_ns=time, stretch=int(n > 11 and pause_ns > 10**9)
+            )
             for n, time in enumerate(times.tolist())
         ]
         stages = SideBySide([preset("default")], shown[0].fan, landmarks)

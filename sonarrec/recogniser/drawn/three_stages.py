@@ -43,7 +43,6 @@ class PlateStages(ThreeStages):
         poses: PoseTable | None = None,
     ) -> None:
         """The arguments are those of DiscStages."""
-        super().__init__()
         fitter = pose_fitter(config, fan, landmarks)
         plane, features = fitter.plane, config.features
         beam_width_deg = features.beam_width_deg or usual_beam_width_deg(fan)
@@ -82,6 +81,7 @@ class PlateStages(ThreeStages):
             scores=candidates.scores,
             groups=groups,
             evidence=evidence,
+            stretch=frame.stretch,
         )
 
 

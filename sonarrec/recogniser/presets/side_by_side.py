@@ -19,7 +19,6 @@ from sonarrec.recogniser.ring_sizes import RingSizes
 from sonarrec.recogniser.stage3.appearance import Classifier
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
 from sonarrec.records import Fan, Frame, FrameResult
-from sonarrec.stretches import Stretches
 
 # Frames that stage 3 takes at once. One by one, a recording costs 63 to 93 % more time.
 FRAMES_AT_ONCE = 16
@@ -125,7 +124,7 @@ class SideBySide:
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
         self.sizes = RingSizes(landmarks)
-        self._stretches = Stretches()
+        self._stretch: int | None = None  # of the frame before
 
     def recognise(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
         """Yield the results in the log's order, each when it is final.
@@ -137,10 +136,11 @@ class SideBySide:
         broken: list[BaseException] = []
         unbroken = _until_broken(frames, broken)
         for frame in self._levels.restored(self._unchanging.filled(unbroken)):
-            if self._stretches.begins(frame.index, frame.timestamp_ns):
+            if self._stretch not in (None, frame.stretch):
                 yield from self.waiting()
                 for stages in self._stages:
                     stages.begin_stretch()
+            self._stretch = frame.stretch
             self._tracked.append(self._track(frame))
             if len(self._tracked) == FRAMES_AT_ONCE:
                 yield from self._after_stage3()
