@@ -71,6 +71,7 @@ results: .venv/installed  # RESULTS.md from the studies' files; marks what is st
 
 regression: .venv/installed  # the sample logs against their results on record
 	$(BIN)/sonarrec check $(SAMPLES)/sonarrec.check.toml
+	$(BIN)/sonarrec check $(SAMPLES)/offline.check.toml
 
 clean:
 	rm -rf build .venv
