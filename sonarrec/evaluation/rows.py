@@ -233,11 +233,11 @@ def find_passes(truths: Table, frame: IntArray, stretch: IntArray) -> tuple[Tabl
     """
     counted = np.flatnonzero(truths["strict"])
     counted = counted[np.lexsort((truths["at"][counted], truths["landmark"][counted]))]
-    at, landmark = truths["at"][counted], truths["landmark"][counted]
-    new = pass_begins(frame[at], stretch[at], landmark)
+    index, landmark = truths["at"][counted], truths["landmark"][counted]
+    new = pass_begins(frame[index], stretch[index], landmark)
     begin = np.flatnonzero(new)
-    end = np.append(begin[1:], len(at))[: len(begin)] - 1
-    first, last = at[begin], at[end]
+    end = np.append(begin[1:], len(index))[: len(begin)] - 1
+    first, last = index[begin], index[end]
     order = np.lexsort((last, first))
     passage = np.full(len(truths), -1)
     passage[counted] = np.argsort(order)[np.cumsum(new) - 1]

@@ -153,11 +153,11 @@ def make_map(
         found_there = join(part, landmark_set)
         clear = [one for one in found_there if frames_of(one.members) >= min_frames]
         for i, k in moved(clear, landmark_set):
-            apart_m = math.dist(clear[i].position, clear[k].position)
+            distance_m = math.dist(clear[i].position, clear[k].position)
             diagnostics.note(
-                f"landmarks {len(kept) + i + 1} and {len(kept) + k + 1} (ID.{clear[i].id}) lie "
-                f"{apart_m:.2f} m apart, so they are one landmark in passes that disagree by more "
-                "than 5 sigma; was it moved, or are the poses wrong?"
+                f"landmarks {len(kept) + i + 1} and {len(kept) + k + 1} (ID.{clear[i].id}) "
+                f"overlap: passes {distance_m:.2f} m from each other, more than 5 sigma; was it "
+                "moved?"
             )
         left_out += len(found_there) - len(clear)
         kept += clear

@@ -374,7 +374,7 @@ def _moved(one: Landmark, other: Landmark) -> bool:
 
 
 def moved(landmarks: Sequence[Landmark], landmark_set: LandmarkSet) -> Iterator[tuple[int, int]]:
-    """Pairs of landmarks of a map, as indices, that are two places of one that was moved."""
+    """Pairs of indices of landmarks that are two positions of one that was moved."""
     disc_m = ONE_DISC * 2 * landmark_set.radius_m
     for (i, one), (k, other) in combinations(enumerate(landmarks), 2):
         if _moved(one, other) and math.dist(one.position, other.position) < disc_m:
