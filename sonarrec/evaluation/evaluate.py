@@ -183,6 +183,7 @@ def _only(log: LogResults, frames: np.ndarray) -> LogResults:
         kept,
         frame=log.frame[listed],
         timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
+        stretch=log.stretch[listed],
         frame_index=(np.cumsum(listed) - 1)[kept.frame_index],
     )
 
