@@ -50,16 +50,16 @@ def test_what_most_frames_deny_is_not_spread_over_them(denying: int) -> None:
     assert declared == ([True] * 16 if denying == 3 else [False] * 9 + [True] * 7)
 
 
-@pytest.mark.parametrize(("declaring", "unable"), [(4, 0), (4, 8), (8, 0)])
+@pytest.mark.parametrize(("declaring", "unable"), [(4, 0), (4, 8), (5, 0)])
 def test_an_id_that_few_of_the_frames_declared_is_added_in_none(declaring, unable) -> None:
     """Those in which too little was seen to declare any ID do not count. By the pool alone it would
     be declared in all."""
-    frames = [result(i, 1, UNSURE if i < 16 - declaring else SURE) for i in range(16)]
+    frames = [result(i, 1, UNSURE if i < 20 - declaring else SURE) for i in range(20)]
     for i in range(unable):
         (estimate,) = frames[i].estimates
         frames[i] = replace(frames[i], estimates=(replace(estimate, enough_evidence=False),))
     declared = [e.declared for e in revised(frames)]
-    assert declared == ([True] * 16 if declaring > 4 or unable else [False] * 12 + [True] * 4)
+    assert declared == ([True] * 20 if declaring > 4 or unable else [False] * 16 + [True] * 4)
 
 
 @pytest.mark.parametrize("declaring", [6, 10])
