@@ -8,6 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.readers.containers.images import ImagePaths, times_in_names
+from sonarrec.readers.containers.images import ImagePaths
+from sonarrec.readers.containers.times_in_names import times_in_names
 from sonarrec.tables import natural_order
 from tests.support.logs import frames, image_folder
 
@@ -35,8 +37,6 @@ CERTAIN: dict[str, Callable[[int], str]] = {
 GUESSES: dict[str, Callable[[int], str]] = {
     "copies": lambda k: f"Capture 7 ({k + 1})" if k else "Capture 7",
     "date, then counter": lambda k: f"20240{k // 30 + 1}01_{k % 30:03d}",
-    "day first": lambda k: (MIDNIGHT + timedelta(seconds=k)).strftime("%d-%m-%Y_%H-%M-%S"),
-    "time of day": lambda k: (MIDNIGHT + timedelta(seconds=k)).strftime("%H-%M-%S.%f"),
     "seconds": lambda k: f"{k / 4:g}",
     "negative": lambda k: str(k - 40),
     "case": lambda k: f"{('f', 'F')[k % 2]}rame{k}",
@@ -52,7 +52,7 @@ def test_dates(form: str) -> None:
     steps = [timedelta(seconds=k / 4) for k in range(3)]
     found = times_in_names([(MOMENT + step).strftime(form) for step in steps])
     assert found is not None
-    assert found.tolist() == [MOMENT_NS + k * 250_000_000 for k in range(3)]
+    assert found.ns.tolist() == [MOMENT_NS + k * 250_000_000 for k in range(3)]
 
 
 @given(st.lists(st.integers(11 * 10**17, 2 * 10**18 - 1), min_size=1, max_size=9, unique=True))
@@ -66,7 +66,7 @@ def test_any_length_of_fraction_tells_the_same(times: list[int]) -> None:
         assert sorted(stems, key=natural_order) == stems
         found = times_in_names(stems)
         assert found is not None
-        assert found.tolist() == times
+        assert found.ns.tolist() == times
 
 
 @pytest.mark.parametrize(
@@ -76,24 +76,90 @@ def test_any_length_of_fraction_tells_the_same(times: list[int]) -> None:
         "20261120_0001 20261120_0002 20261120_0003",  # a date, then a counter
         "20261320_100000 20261320_100001",  # a 13th month
         "a_1795168800 b_1795168800",  # several in one second
-        "1795168801.5 1795168800.5",  # falls
         "1795168800000001 1795168800000002",  # a counter
         "1795168800.5 000001",
         "1795168800.5_1795168800.75 1795168801.5_1795168801.75",
         "9999999999999999999",
-        "2026-11-20_10-00-00_PM 2026-11-20_10-00-01_PM",
+        "2026-11-20_13-00-00_PM 2026-11-20_13-00-01_PM",
+        "02-05-2026_09-00-00_250 02-05-2026_09-00-01_679",  # 2 May, or 5 February
+        "20260502_090000_250_CEST 20260502_090001_679_CEST",
+        "20260502_090000_12 20260502_090001_12",  # a channel, or hundredths
     ],
 )
 def test_names_without_times(stems: str) -> None:
     assert times_in_names(stems.split()) is None
 
 
+BEFORE_MIDNIGHT = datetime(2026, 5, 13, 23, 59, 40, 130_000, UTC)
+QUARTER_NS = 250_000_000
+DATES = ["%Y%m%d", "%Y-%m-%d", "%Y_%m_%d", "%d.%m.%Y", "%d-%m-%Y", "%d%b%Y", "%B %d, %Y", "%y%m%d"]
+BETWEEN = ["T", "_", " at ", "__", " - "]
+CLOCKS = ["%H%M%S", "%H-%M-%S", "%H_%M_%S", "%H.%M.%S", "%H:%M:%S", "%Hh%Mm%Ss", "%-H-%-M-%-S"]
+DECIMALS = [".%f", ",%f", "_%f", "-%fZ", " %f+0000", ".%f_left", "_%f_%%s"]
+STYLES = [
+    DATES[k % 8] + BETWEEN[k % 5] + CLOCKS[k % 7] + DECIMALS[(k // 8 + k) % 7] for k in range(70)
+]
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("step_ms", [250, 1429, 60_010])
+def test_times_written_by_strftime_are_read_back(style: str, step_ms: int) -> None:
+    """Over midnight; %s, the seconds since 1970, stands for a number of no meaning."""
+    moments = [BEFORE_MIDNIGHT + timedelta(milliseconds=k * step_ms) for k in range(90)]
+    stems = sorted((m.strftime(style) for m in moments), key=natural_order)
+    found = times_in_names(stems)
+    assert found is not None
+    expected = [
+        (m - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) for m in moments
+    ]
+    assert (found.ns[found.order] // 1000).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("stems", "first_ns", "step_ns"),
+    [
+        ("20260502_090000_250 20260502_090001_679", 1_777_712_400_250_000_000, 1_429_000_000),
+        ("20260502_110000.25+0200 20260502_110000.5+0200", 1_777_712_400_250_000_000, QUARTER_NS),
+        ("1777712400.37000000 1777712400.287000000", 1_777_712_400_037_000_000, QUARTER_NS),
+        ("0001777712400250 0001777712400500", 1_777_712_400_250_000_000, QUARTER_NS),
+        ("1795168801.5 1795168800.5", 1_795_168_800_500_000_000, 10**9),  # natural order falls
+        ("2026-5-2_9.00.00.250_PM 2026-5-2_9.00.00.500_PM", 1_777_755_600_250_000_000, QUARTER_NS),
+        ("20260502_090000_0001 20260502_090001_0002", 1_777_712_400_000_000_000, 10**9),
+    ],
+)  # fmt: skip
+def test_what_stands_behind_the_seconds(stems: str, first_ns: int, step_ns: int) -> None:
+    found = times_in_names(stems.split())
+    assert found is not None
+    assert found.ns[found.order].tolist() == [first_ns, first_ns + step_ns]
+
+
+def test_a_time_of_day_goes_over_midnight() -> None:
+    moments = [BEFORE_MIDNIGHT + timedelta(seconds=k / 4) for k in range(120)]
+    found = times_in_names(sorted(m.strftime("%H-%M-%S.%f") for m in moments))
+    assert found is not None
+    assert (np.diff(found.ns[found.order]) == 250_000_000).all()
+
+
+def test_a_counter_gives_the_order_where_the_clock_was_set_back() -> None:
+    moments = [MOMENT + timedelta(seconds=k / 4 - 3600 * (k >= 50)) for k in range(90)]
+    found = times_in_names([f"{m:%Y%m%d_%H%M%S_%f}_{k:04d}" for k, m in enumerate(moments)])
+    assert found is not None
+    assert found.order.tolist() == list(range(90))
+
+
+def test_a_date_that_is_not_read_is_told(tmp_path: Path) -> None:
+    log = image_folder(tmp_path / "log", frames(3, 20, 20))
+    for k in range(3):
+        (log / f"frame{k}.png").rename(log / f"20261120_{k:03d}.png")
+    with open_log(log) as opened:
+        assert any("20261120" in note and "not read" in note for note in opened.diagnostics.notes)
+
+
 def ordered(stems: list[str]) -> tuple[bool, str | None]:
     """Whether names in disorder come back, and why that is a guess; None where they hold times."""
     paths = [f"/9/log.7/{stem}.png" for stem in stems]
     found = ImagePaths(map(Path, random.Random(1).sample(paths, len(paths))))
-    times = times_in_names([path.stem for path in found])
-    return [*map(str, found)] == paths, found.doubt if times is None else None
+    return [*map(str, found)] == paths, found.doubt
 
 
 @pytest.mark.parametrize("form", CERTAIN)

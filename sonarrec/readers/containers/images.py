@@ -7,31 +7,19 @@ import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics
+from sonarrec.readers.containers.times_in_names import date_in, times_in_names
 from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
 from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, date_text
 from sonarrec.tables import natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
-# No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
-LEAST_STEP_NS = 5_000_000
 _GAP = 20  # times the least step, from which on a counter may have reached its limit there
-# Since 1970, from 2004 to 2033: seconds with or without decimals, or milli-, micro- or nanoseconds.
-_SINCE_1970 = re.compile(
-    r"(?<![0-9])(1[1-9][0-9]{8})(?:\.([0-9]{1,9})|([0-9]{3}(?:[0-9]{3}){0,2}))?(?![0-9])"
-)
-# As ISO 8601 has them. File systems do not like colons, so that other signs stand for them.
-_ISO = re.compile(
-    r"(?<![0-9])(20[0-9]{2})(-?)([0-9]{2})\2([0-9]{2})[-_T ]"
-    r"([0-9]{2})([-_.:]?)([0-9]{2})\6([0-9]{2})(?:[.,]([0-9]{1,9}))?(?![0-9]|[\s_]?[AaPp][Mm])"
-)
 
 
 def names_an_image(name: str) -> bool:
@@ -54,13 +42,20 @@ def is_array(path: Path) -> bool:
 
 
 class ImagePaths(Sequence[Path]):
-    """Images in the natural order of their names, kept as text: a list of a Path each takes five
-    times as much. doubt: why the order is a guess; None if it is certain: where all names are the
-    same but for counters that rise from each to the next."""
+    """Images in the order of the times in their names or, without times, in the natural order of
+    the names. They are kept as text: a list of a Path each takes five times as much.
+
+    times: as the names have them; None if they have none. doubt: why the order is a guess; None if
+    it is certain: by times, or where all names are the same but for counters that rise from each to
+    the next."""
 
     def __init__(self, paths: Iterable[Path]) -> None:
         self._texts = sorted(map(str, paths), key=_key)
-        self.doubt = _doubt(self._texts) if len(self._texts) > 1 else None
+        self.times = times_in_names([Path(text).stem for text in self._texts])
+        if self.times is not None:
+            self._texts = [self._texts[k] for k in self.times.order]
+        certain = self.times is not None or len(self._texts) < 2
+        self.doubt = None if certain else _doubt(self._texts)
 
     def __getitem__(self, index: int) -> Path:  # type: ignore[override] # there are no slices
         """An image."""
@@ -99,35 +94,6 @@ def _doubt(ordered: Sequence[str]) -> str | None:
     return None
 
 
-def times_in_names(stems: Sequence[str]) -> IntArray | None:
-    """(n,) times in ns that stand in n names without their suffix; None if they hold none. Each
-    name holds one time, all in the same form: as ISO 8601 has date and time (in UTC), or since 1970
-    in s, ms, us or ns. They must rise from name to name, mostly by LEAST_STEP_NS or more."""
-    found = (_rising(form, stems) for form in (_ISO, _SINCE_1970) if stems)
-    return next((times for times in found if times is not None), None)
-
-
-def _rising(form: re.Pattern[str], stems: Sequence[str]) -> IntArray | None:
-    times = []
-    for stem in stems:
-        if len(found := form.findall(stem)) != 1:
-            return None
-        if form is _ISO:
-            year, _, month, day, hour, _, minute, second, decimals = found[0]
-            try:
-                moment = f"{year}-{month}-{day}T{hour}:{minute}:{second}+00:00"
-                seconds = int(datetime.fromisoformat(moment).timestamp())
-            except ValueError:  # a 13th month
-                return None
-        else:
-            seconds, decimals = int(found[0][0]), found[0][1] or found[0][2]
-        times.append(seconds * 10**9 + int(f"{decimals:0<9}"))
-    steps = np.diff(times)
-    if len(steps) and (steps.min() <= 0 or np.median(steps) < LEAST_STEP_NS):
-        return None
-    return np.array(times, np.int64)
-
-
 def _not_as_numbered(stems: Sequence[str]) -> int | None:
     """The first image whose number in its name does not follow from the first's. None if there is
     none, and if the names differ in more than one number or lack more numbers than they have: then
@@ -154,7 +120,8 @@ class ImageFiles(RawLog):
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
         self.frame_count = len(self.files)
         stems = [file.stem for file in self.files]
-        self._times = times_in_names(stems)
+        self._named = self.files.times
+        self._times = None if self._named is None else self._named.ns[self._named.order]
         if (note := self._about_names(stems)) is not None:
             diagnostics.note(note)
         if self._times is None and (table := self._sibling_table()) is not None:
@@ -187,7 +154,18 @@ class ImageFiles(RawLog):
                 return None
             first, steps = date_text(int(self._times[0]), 3), np.diff(self._times)
             rate = f", and {1e9 / np.median(steps):.3g} a second" if len(steps) else ""
+            if self._named is not None and self._named.spread:
+                rate += "; names have whole seconds, in which the frames are spread evenly"
             return f"frames have the times in the names of its images, the first {first} UTC{rate}"
+        if (seen := date_in(stems[0])) is not None:
+            doubt = (
+                "" if self.files.doubt is None else f"; their order is a guess: {self.files.doubt}"
+            )
+            return (
+                f"times are not read from the names of its images, though {seen} in "
+                f"{self.files[0].name} looks like one{doubt}; name the images as "
+                "20261120T100000.250.png in UTC if pauses and truth by time count"
+            )
         if self.files.doubt is not None:
             return (
                 f"the order of its {len(stems)} images, from {self.files[0].name} to "
