@@ -90,7 +90,7 @@ def info(
       sonarrec info dive.avi --range-max-m 8 --write-sonar dive.sonar.toml
     """
     from sonarrec.readers.info import describe
-    from sonarrec.results.run_file import PROGRAM
+    from sonarrec.results.identity import PROGRAM
     from sonarrec.tables.outputs import check_output
 
     logs = options.named_logs(log, from_file, recursive)

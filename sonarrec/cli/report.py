@@ -66,4 +66,4 @@ def report(
     clickable = f", {number_of(page.held, 'frame')} to click" if page.held else ""
     pictures = f"{number_of(page.pictures, 'picture')}{clickable}"
     line = f"{page.path}: {page.path.stat().st_size / 1e6:.1f} MB, {pictures}"
-    finish(quiet, [line], page.unused)
+    finish(quiet, [line], page.unused, page.notes)

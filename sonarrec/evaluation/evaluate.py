@@ -25,6 +25,7 @@ from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match, sc
 from sonarrec.evaluation.write import Evaluation, write_evaluation
 from sonarrec.records import Clock
 from sonarrec.results.folders import log_of, rerun_left
+from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     CountedOnce,
     LogResults,
@@ -257,6 +258,7 @@ def score_logs(
         *(f"{s.fault}; {s.log.name} is not scored" for s in kept if s.fault is not None)
     )
     diagnostics.problem(*copies.problems)
+    diagnostics.note(*outdated([folder for score in scored for folder in score.log.results]))
     diagnostics.note(*copies.notes)
     diagnostics.note(*(note for score in scored for note in score.notes))
     for counts in sides:

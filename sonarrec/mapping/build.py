@@ -33,6 +33,7 @@ from sonarrec.mapping.path import (
     read_frames,
 )
 from sonarrec.readers.poses import read_poses
+from sonarrec.results.identity import outdated
 from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
 from sonarrec.results.run_file import RunFile, cut_short, read_run, tables_changed
 from sonarrec.results.sightings import check_follows
@@ -143,6 +144,7 @@ def make_map(
             f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
             "poses with --odometry, or map the logs one by one"
         )
+    diagnostics.note(*outdated(used))
     for of in (*(log.diagnostics for log in logs), copies):
         diagnostics.note(*of.notes)
         diagnostics.problem(*of.problems)

@@ -35,6 +35,7 @@ from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.folders import part_of, possible_names, rerun_left
+from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     check_same_log,
     choose_method,
@@ -154,7 +155,7 @@ def overlay(
             diagnostics.problem(
                 f"{folder}: the run was cut short; frames after {last} have no results"
             )
-        diagnostics.note(*rerun_left(folder))
+        diagnostics.note(*outdated([folder]), *rerun_left(folder))
         diagnostics.problem(*(f"{folder}: {line}" for line in tables_changed(folder, run.input)))
         rest = iter(recording)
         first = next(rest)  # raises where there is no usable frame

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -263,8 +262,9 @@ class Digest(NamedTuple):
 
 def digest_of(log: Source) -> Digest:
     """Of a log's file; for several images, or the files of a bag, of a line for each in frame
-    order: its name, a zero byte, its size and its CRC-32 in hex. Of a file that cannot be read only
-    the name counts. Raises SonarrecError if a log of one file cannot be read."""
+    order: its name, a zero byte, its size and its BLAKE2b of 32 bytes in hex. Of
+    a file that cannot be read only the name counts. Raises SonarrecError if a log of one file
+    cannot be read."""
     if log.files == [log.path]:
         try:
             with log.path.open("rb", buffering=0) as file:
@@ -275,14 +275,15 @@ def digest_of(log: Source) -> Digest:
     total, lines, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
     for path in log.files:
         lines.update(path.name.encode(errors="surrogateescape") + b"\0")
-        size = crc = 0
+        size, contents = 0, hashlib.blake2b(digest_size=32)
         with suppress(OSError), path.open("rb", buffering=0) as file:  # reported with its frame
             while count := file.readinto(block):
-                size, crc = size + count, zlib.crc32(block[:count], crc)
-            lines.update(f"{size} {crc:08x}".encode())
+                size += count
+                contents.update(block[:count])
+            lines.update(f"{size} {contents.hexdigest()}".encode())
         lines.update(b"\n")
         total += size
-    return Digest(total, lines.hexdigest(), "names, sizes, CRC-32")
+    return Digest(total, lines.hexdigest(), "names, sizes, BLAKE2b")
 
 
 def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:

@@ -26,6 +26,7 @@ from sonarrec.reports.logs import (
 )
 from sonarrec.reports.overview import SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
+from sonarrec.results.identity import outdated
 from sonarrec.results.read import find_logs, why_incomplete
 from sonarrec.results.run_file import read_run
 from sonarrec.runs.recorded import recorded_at
@@ -41,12 +42,13 @@ MOST_SEEN = MOST_MISTAKEN = 6
 @dataclass(frozen=True, slots=True, repr=False)
 class Report:
     """What was written. pictures: drawn frames on the page. held: frames that a click shows.
-    unused: one line for each part of the input that could not be used."""
+    unused: one line for each part of the input that could not be used. notes: what else to know."""
 
     path: Path
     pictures: int
     held: int
     unused: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def report(
@@ -114,7 +116,8 @@ def report(
     rows = all_logs(Path(results), folders, evaluation, left_out)
     page = render(reported, evaluation, mistakes, truth_file, pictures, shown, unused, rows)
     write_page(path, page)
-    return Report(path, len(pictures), sum(len(log["frames"]) for log in shown), unused)
+    held = sum(len(log["frames"]) for log in shown)
+    return Report(path, len(pictures), held, unused, tuple(outdated(folders)))
 
 
 def _evaluate(

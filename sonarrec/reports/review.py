@@ -41,6 +41,7 @@ from sonarrec.records import VERSION, Frame
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
+from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     LogResults,
     check_same_log,
@@ -137,6 +138,7 @@ def review(
     truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     diagnostics.problem(*why_incomplete(found, "shown"))
+    diagnostics.note(*outdated([folder]))
     stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
     table, passes, occupied = _Table([*HEADER]), list[_Pass](), Occupied(list)
     if truth is not None:

@@ -20,14 +20,13 @@ from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import VERSION, Clock, Fan
+from sonarrec.records import Clock, Fan
 from sonarrec.results.folders import TABLES, is_file, parent_of
+from sonarrec.results.identity import PROGRAM, identity, why_outdated
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.tables.outputs import free_name
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 
-PROGRAM = {"name": "sonarrec", "version": VERSION}
-"""The program that made a file, for run.toml and JSON documents."""
 _EDGES = ("bearing_min_deg", "bearing_max_deg")
 _FAN = (
     *("rows", "columns", "metres_per_pixel", "apex_px", "range_min_m", "range_max_m"),
@@ -60,7 +59,7 @@ def run_table(
         "field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg,
     }
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-    return {
+    table: dict[str, Any] = {
         "program": {**PROGRAM, "methods": list(methods)},
         "input": {k: v for k, v in zip(_INPUT, source, strict=False) if v is not None}
         | dict(reading),
@@ -75,6 +74,8 @@ def run_table(
             "opencv": opencv_version,
         },
     }
+    table["program"] |= identity(table)
+    return table
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,10 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         )
     if is_changed:
         return ExistingResults(reason="the log has changed")
+    if run.input.sha256_of != new.get("sha256_of"):
+        return ExistingResults(reason="its files were digested in another way")
+    if why := why_outdated(run.table):
+        return ExistingResults(reason=why)
     # Not compared: what only a finished run states, where it ran and what its log was called.
     before = {k: v for k, v in run.table.items() if k != "finished"}
     before["input"] = {k: v for k, v in old.items() if k not in (*_OF_THE_END, *_DIGEST)}
@@ -178,6 +183,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults(True, *counts, list(run.input.problems))
     flat_old, flat_new = dict(flat(before)), dict(flat(coming))
     keys = [k for k in {**flat_new, **flat_old} if flat_old.get(k) != flat_new.get(k)]
+    keys = [k for k in keys if k != "program.settings_blake2b"]  # which sums up others
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
     return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
 
@@ -305,7 +311,8 @@ class Input:
     def is_of(self, size: int | None, sha256: str | None, sha256_of: str | None) -> bool:
         """Whether these are the log's size in bytes, SHA-256, and what that is of.
 
-        By the size alone, if the SHA-256 is of something else: earlier versions hashed all bytes.
+        By the size alone if the SHA-256 is of something else, as in earlier versions: `run` makes
+        such results anew, and others that use them say of which version they are.
         """
         if self.sha256_of != sha256_of:
             return self.bytes == size

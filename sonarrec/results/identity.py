@@ -1,0 +1,81 @@
+"""What decided the results of a run, so that those of an earlier program are told from today's."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from sonarrec.errors import number_of
+from sonarrec.records import VERSION
+from sonarrec.results.folders import is_file
+from sonarrec.tables.toml import read_toml
+
+RESULTS_VERSION = 2
+"""Kept by hand: one more with every change after which a log may give other tables, be it in how
+logs are read or in how landmarks are recognised. Code that only moves leaves it as it is.
+tests/results/test_identity.py asks for it when the tables on record change."""
+
+PROGRAM = {"name": "sonarrec", "version": VERSION}
+"""The program that made a file, for run.toml and JSON documents."""
+_SETTINGS = ("config", "sonar", "landmarks")
+"""The tables of run.toml whose digest it states."""
+
+
+@cache
+def model_digest() -> str:
+    """BLAKE2b, in hex, of the names and contents of the recogniser's data: its built-in models."""
+    home, digest = Path(__file__).parents[1] / "recogniser", hashlib.blake2b(digest_size=32)
+    for path in sorted(home.rglob("*")):
+        if path.is_file() and path.suffix not in (".py", ".pyc"):
+            contents = path.read_bytes()
+            digest.update(f"{path.relative_to(home).as_posix()}\0{len(contents)}\0".encode())
+            digest.update(contents)
+    return digest.hexdigest()
+
+
+def settings_digest(run: Mapping[str, Any]) -> str:
+    """BLAKE2b, in hex, of the settings, the stated geometry and the landmark set of a run.toml."""
+    text = json.dumps({key: run.get(key) for key in _SETTINGS}, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=32).hexdigest()
+
+
+def identity(run: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of [program] that say what decided the results. run: the tables of run.toml."""
+    return {
+        "results_version": RESULTS_VERSION,
+        "model_blake2b": model_digest(),
+        "settings_blake2b": settings_digest(run),
+    }
+
+
+def why_outdated(run: Mapping[str, Any]) -> str:
+    """Why this program may not give the results of a run.toml again; empty if it does, or if it did
+    not make them."""
+    program = run.get("program", {})
+    if program.get("name") != PROGRAM["name"]:
+        return ""
+    now = identity(run)
+    if (number := program.get("results_version")) != RESULTS_VERSION:
+        numbers = f"results_version {'none' if number is None else number}, now {RESULTS_VERSION}"
+        return f"made by another version of the program ({numbers})"
+    if program.get("model_blake2b") != now["model_blake2b"]:
+        return "made with another built-in model"
+    if program.get("settings_blake2b") != now["settings_blake2b"]:
+        return "the settings in run.toml were changed after the run"
+    return ""
+
+
+def outdated(folders: Sequence[Path]) -> list[str]:
+    """A line if this program may not give the results in some of these folders again. Raises
+    SonarrecError if a run.toml is no TOML."""
+    runs = [(folder, folder / "run.toml") for folder in folders]
+    found = [(folder, why_outdated(read_toml(path))) for folder, path in runs if is_file(path)]
+    if not (found := [(folder, why) for folder, why in found if why]):
+        return []
+    (first, why), *more = found
+    others = f" and {number_of(len(more), 'more folder')}" if more else ""
+    return [f"{first}{others}: {why}; `sonarrec run` of the log makes them anew"]

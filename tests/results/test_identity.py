@@ -1,0 +1,122 @@
+"""Results of an earlier program are told from today's, and made anew."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import zlib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+from sonarrec.readers import open_log
+from sonarrec.results import identity
+from sonarrec.results.identity import RESULTS_VERSION
+from sonarrec.results.run_file import read_run
+from tests.support.command import SAMPLE, sample_log, sonarrec
+from tests.support.logs import frames, image_folder
+
+SAMPLES = SAMPLE.parent
+RECORDED = (2, "983d71436ac8f8f1a18207609a9110c3")
+"""RESULTS_VERSION when the tables on record last changed, and their digest."""
+
+
+def test_other_tables_on_record_ask_for_another_results_version() -> None:
+    digest = hashlib.blake2b(digest_size=16)
+    tables = [f for f in SAMPLES.rglob("*.csv") if f.name in ("frames.csv", "estimates.csv")]
+    assert len(tables) >= 6
+    for table in sorted(tables):
+        digest.update(table.relative_to(SAMPLES).as_posix().encode() + table.read_bytes())
+    changed = digest.hexdigest() != RECORDED[1]
+    number = RECORDED[0] + 1 if changed and RECORDED[0] == RESULTS_VERSION else RESULTS_VERSION
+    assert (RESULTS_VERSION, digest.hexdigest()) == RECORDED, (
+        f"the tables on record changed: set RESULTS_VERSION = {number} in "
+        f'sonarrec/results/identity.py, and RECORDED = ({number}, "{digest.hexdigest()}") here'
+    )
+
+
+def output(*words: str | Path) -> str:
+    """What a command prints, however it ends: eight frames are few."""
+    return CliRunner().invoke(main, [*map(str, words)]).output
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """The folder of the results of eight frames."""
+    log = sample_log(tmp_path / "pan", 8)
+    sonarrec("run", log, "-o", tmp_path / "out", "-q")
+    return tmp_path / "out" / "pan"
+
+
+def test_results_of_another_version_are_told_by_all_that_use_them_and_made_anew(
+    results: Path,
+) -> None:
+    log, home, file = results.parents[1] / "pan", results.parents[1], results / "run.toml"
+    used = [
+        ("evaluate", results, "--ground-truth", SAMPLE / "gt.csv"),
+        ("overlay", log, results, "-o", home / "o.mcap"),
+        ("report", results),
+        ("truth", "review", log, "--results", results, "-o", home / "review.html"),
+        ("map", results, "-o", home / "map"),
+    ]
+    for words in used:
+        assert "another version" not in output(*words)
+    text = file.read_text()
+    file.write_text(text.replace(f"results_version = {RESULTS_VERSION}\n", ""))
+    for words in used:
+        assert "another version" in output(*words), words
+    assert "another version" in sonarrec("run", log, "-o", home / "out").stderr
+    assert file.read_text() == text
+    assert "up to date" in sonarrec("run", log, "-o", home / "out").stdout
+
+
+@pytest.mark.parametrize("key", ["model_blake2b", "settings_blake2b", "seed"])
+def test_another_model_and_edited_settings_are_told(results: Path, key: str) -> None:
+    file = results / "run.toml"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(f"{key} = 7" if x.startswith(f"{key} =") else x for x in lines))
+    (line,) = identity.outdated([results, results])
+    assert "1 more" in line
+
+
+def test_results_of_another_program_are_not_outdated(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text('[program]\nname = "theirs"\n')
+    assert identity.outdated([tmp_path, tmp_path / "without"]) == []
+
+
+def test_a_log_digested_another_way_is_changed(tmp_path: Path) -> None:
+    """By its size alone, images with every pixel inverted were up to date."""
+    log, file = image_folder(tmp_path / "log", frames(4)), tmp_path / "out" / "log" / "run.toml"
+    sonarrec("run", log, "-o", tmp_path / "out")
+    made = file.read_text()
+    of = read_run(file).input.sha256_of
+    assert of is not None
+    file.write_text(made.replace(of, "names, sizes, CRC-32"))
+    assert "replaced" in sonarrec("run", log, "-o", tmp_path / "out").stderr
+    assert file.read_text() == made
+
+
+def test_pixels_of_equal_size_and_crc_32_are_another_log(tmp_path: Path) -> None:
+    """The digest of several files was one of their CRC-32, which is easily made equal."""
+    log, (a, b) = image_folder(tmp_path / "log", frames(4)), _equal_crc()
+    assert zlib.crc32(a) == zlib.crc32(b)
+    found = set()
+    for added in (a, b):
+        whole = (tmp_path / "log" / "frame1.png").read_bytes()
+        (log / "frame1.png").write_bytes(whole + added)
+        with open_log(log) as opened:
+            found.add(opened.digest_source().sha256)
+        (log / "frame1.png").write_bytes(whole)
+    assert len(found) == 2
+
+
+def _equal_crc() -> tuple[bytes, bytes]:
+    """Two texts of eight bytes with one CRC-32, for whatever is before them: it is linear."""
+    seen = dict[int, bytes]()
+    for n in itertools.count():
+        text = hashlib.sha256(str(n).encode()).digest()[:8]
+        if (other := seen.setdefault(zlib.crc32(text), text)) != text:
+            return other, text
+    raise AssertionError
