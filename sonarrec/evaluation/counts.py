@@ -220,7 +220,7 @@ class Counts:
     def add(self, log: Matched) -> None:
         """Add the counts of a log."""
         self._names += [name for name in log.methods if name not in self._names]
-        index = np.array([*map(self._names.index, log.methods), -1], dtype=np.int8)
+        index = np.array([*map(self._names.index, log.methods), -1], dtype=np.int16)
         first = {name: sum(of[name] for of in self._logs) for name in ("unit", "passage")}
         for name, of in count_log(log, rates_only=self._rates_only).items():
             columns = dict(of.columns)

@@ -148,7 +148,7 @@ def match(
         strict=truth.visible[seen] >= min_visible,
     )
     claims = Table(
-        method=np.array([methods.index(name) for name in log.methods], dtype=np.int8)[log.method],
+        method=np.array([methods.index(name) for name in log.methods], dtype=np.int16)[log.method],
         at=log.frame_index,
         landmark=of_set[log.landmark_index],
         **_position_columns(log.position, count, slice(None)),

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import number_of
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.records import VERSION
 from sonarrec.results.folders import is_file
 from sonarrec.tables.toml import read_toml
@@ -70,11 +71,13 @@ def why_outdated(run: Mapping[str, Any]) -> str:
 
 
 def outdated(folders: Sequence[Path]) -> list[str]:
-    """A line if this program may not give the results in some of these folders again. Raises
-    SonarrecError if a run.toml is no TOML."""
-    runs = [(folder, folder / "run.toml") for folder in folders]
-    found = [(folder, why_outdated(read_toml(path))) for folder, path in runs if is_file(path)]
-    if not (found := [(folder, why) for folder, why in found if why]):
+    """A line if this program may not give the results in some of these folders again."""
+    found = []
+    for folder in folders:
+        with suppress(SonarrecError):  # reported where its tables are read
+            if is_file(path := folder / "run.toml") and (why := why_outdated(read_toml(path))):
+                found.append((folder, why))
+    if not found:
         return []
     (first, why), *more = found
     others = f" and {number_of(len(more), 'more folder')}" if more else ""
