@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any, NamedTuple
@@ -251,39 +251,33 @@ class Log:
 
 
 class Digest(NamedTuple):
-    """What identifies the files of a log, as run.toml has it."""
+    """What identifies the files of a log, as run.toml has it. bytes: their size, all together."""
 
     bytes: int
-    """Their size, all together."""
     sha256: str
-    sha256_of: str | None = None
-    """What that is of; None: of all bytes."""
 
 
 def digest_of(log: Source) -> Digest:
-    """Of a log's file; for several images, or the files of a bag, of a line for each in frame
-    order: its name, a zero byte, its size and its BLAKE2b of 32 bytes in hex. Of
-    a file that cannot be read only the name counts. Raises SonarrecError if a log of one file
-    cannot be read."""
-    if log.files == [log.path]:
-        try:
-            with log.path.open("rb", buffering=0) as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-                return Digest(file.tell(), digest)
-        except OSError as error:
-            raise SonarrecError(f"{log.path}: cannot be read ({error.strerror})") from None
-    total, lines, block = 0, hashlib.sha256(), memoryview(bytearray(2**20))
+    """Of a log's file; of several images, or the files of a bag, in frame order: before the bytes
+    of each come its name, a zero byte, its size and a line end. Of one that cannot be read, only
+    the name and the zero byte count. Raises SonarrecError if a log of one file cannot be read."""
+    digest, total, block = hashlib.sha256(), 0, memoryview(bytearray(2**20))
+    alone = log.files == [log.path]
     for path in log.files:
-        lines.update(path.name.encode(errors="surrogateescape") + b"\0")
-        size, contents = 0, hashlib.blake2b(digest_size=32)
-        with suppress(OSError), path.open("rb", buffering=0) as file:  # reported with its frame
-            while count := file.readinto(block):
-                size += count
-                contents.update(block[:count])
-            lines.update(f"{size} {contents.hexdigest()}".encode())
-        lines.update(b"\n")
-        total += size
-    return Digest(total, lines.hexdigest(), "names, sizes, BLAKE2b")
+        if not alone:
+            digest.update(path.name.encode(errors="surrogateescape") + b"\0")
+        try:
+            with path.open("rb", buffering=0) as file:
+                if not alone:
+                    digest.update(b"%d\n" % os.fstat(file.fileno()).st_size)
+                while count := file.readinto(block):
+                    total += count
+                    digest.update(block[:count])
+        except OSError as error:
+            if alone:
+                raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+            # Else it is reported with its frame.
+    return Digest(total, digest.hexdigest())
 
 
 def _first_of(frames: Iterator[StoredFrame]) -> list[StoredFrame]:

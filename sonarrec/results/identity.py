@@ -24,32 +24,31 @@ PROGRAM = {"name": "sonarrec", "version": VERSION}
 """The program that made a file, for run.toml and JSON documents."""
 _SETTINGS = ("config", "sonar", "landmarks")
 """The tables of run.toml whose digest it states."""
+_MODELS = ("stage3", "drawn")
+"""The folders of the recogniser that hold a built-in model."""
 
 
 @cache
 def model_digest() -> str:
-    """BLAKE2b, in hex, of the names and contents of the recogniser's data: its built-in models."""
-    home, digest = Path(__file__).parents[1] / "recogniser", hashlib.blake2b(digest_size=32)
-    for path in sorted(home.rglob("*")):
-        if path.is_file() and path.suffix not in (".py", ".pyc"):
-            contents = path.read_bytes()
-            digest.update(f"{path.relative_to(home).as_posix()}\0{len(contents)}\0".encode())
-            digest.update(contents)
-    return digest.hexdigest()
+    """SHA-256, in hex, of the built-in models: of the files beside the code of stage 3."""
+    home = Path(__file__).parents[1] / "recogniser"
+    files = [path for folder in _MODELS for path in (home / folder).iterdir() if path.is_file()]
+    contents = [path.read_bytes() for path in files if path.suffix != ".py"]
+    return hashlib.sha256(b"\0".join(sorted(contents))).hexdigest()
 
 
 def settings_digest(run: Mapping[str, Any]) -> str:
-    """BLAKE2b, in hex, of the settings, the stated geometry and the landmark set of a run.toml."""
+    """SHA-256, in hex, of the settings, the stated geometry and the landmark set of a run.toml."""
     text = json.dumps({key: run.get(key) for key in _SETTINGS}, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=32).hexdigest()
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def identity(run: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of [program] that say what decided the results. run: the tables of run.toml."""
     return {
         "results_version": RESULTS_VERSION,
-        "model_blake2b": model_digest(),
-        "settings_blake2b": settings_digest(run),
+        "model_sha256": model_digest(),
+        "settings_sha256": settings_digest(run),
     }
 
 
@@ -63,9 +62,9 @@ def why_outdated(run: Mapping[str, Any]) -> str:
     if (number := program.get("results_version")) != RESULTS_VERSION:
         numbers = f"results_version {'none' if number is None else number}, now {RESULTS_VERSION}"
         return f"made by another version of the program ({numbers})"
-    if program.get("model_blake2b") != now["model_blake2b"]:
+    if program.get("model_sha256") != now["model_sha256"]:
         return "made with another built-in model"
-    if program.get("settings_blake2b") != now["settings_blake2b"]:
+    if program.get("settings_sha256") != now["settings_sha256"]:
         return "the settings in run.toml were changed after the run"
     return ""
 

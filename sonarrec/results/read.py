@@ -47,6 +47,7 @@ from sonarrec.results.columns import (
     needed,
 )
 from sonarrec.results.folders import log_of, parent_of, part_of
+from sonarrec.results.identity import why_outdated
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, tables_changed
 from sonarrec.sonar import Sonar
 from sonarrec.stretches import stretches_of
@@ -459,10 +460,11 @@ def check_same_log(log: Any, folder: Path, run: RunFile) -> None:
     made_from = run.input
     if made_from.sha256 is not None:
         if not made_from.is_of(*log.digest_source()):
+            earlier = f", or {why}" if (why := why_outdated(run.table)) else ""
             raise SonarrecError(
                 f"{folder}: results of another log, {made_from.path or made_from.name}, or of "
-                f"{log.path} before its files changed; give the log they were made from, or "
-                f"{command_line('run', log.path, '-o', free_name(parent_of(folder)))}"
+                f"{log.path} before its files changed{earlier}; give the log they were made from, "
+                f"or {command_line('run', log.path, '-o', free_name(parent_of(folder)))}"
             )
     elif log.frame_count is not None:
         last = read_frames(folder)["frame"].max(initial=-1)
@@ -484,7 +486,7 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
         without = " and ".join(str(f) for f, of in ((old, a), (new, b)) if of is None)
         return f"{without}: run.toml does not identify the log; frames are matched by number"
     later = after.input
-    if a[1] != b[1] or not before.input.is_of(later.bytes, later.sha256, later.sha256_of):
+    if a[1] != b[1] or not before.input.is_of(later.bytes, later.sha256):
         of = " and ".join(
             f"{run.input.path or run.input.name}{f', topic {topic}' if topic else ''}"
             for run, (_, topic) in ((before, a), (after, b))

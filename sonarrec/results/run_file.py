@@ -33,8 +33,7 @@ _FAN = (
     *("field_of_view_deg", *_EDGES, "tilt_deg", "height_m"),
 )
 """The keys of [fan]."""
-_DIGEST = ("sha256", "sha256_of")
-_INPUT = ("name", "bytes", *_DIGEST)
+_INPUT = ("name", "bytes", "sha256")
 
 
 def run_table(
@@ -43,7 +42,7 @@ def run_table(
     sonar: Sonar,
     fan: Fan,
     landmarks: LandmarkSet,
-    source: tuple[str, int, str] | tuple[str, int, str, str | None],
+    source: tuple[str, int, str],
     reading: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """The tables of run.toml: all that is needed to get the same results again.
@@ -61,8 +60,7 @@ def run_table(
     instructions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     table: dict[str, Any] = {
         "program": {**PROGRAM, "methods": list(methods)},
-        "input": {k: v for k, v in zip(_INPUT, source, strict=False) if v is not None}
-        | dict(reading),
+        "input": dict(zip(_INPUT, source, strict=True)) | dict(reading),
         "config": tables if len(tables) > 1 else tables[0],
         "sonar": sonar.as_table(),
         "fan": {key: of_fan[key] for key in _FAN if of_fan[key] is not None},
@@ -155,8 +153,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults()
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     old, new = run.table["input"], coming["input"]
-    digest = new["bytes"], new["sha256"], new.get("sha256_of")
-    other, is_changed = "", not run.input.is_of(*digest)
+    other, is_changed = "", not run.input.is_of(new["bytes"], new["sha256"])
     if is_changed and old.get("place") != new["place"]:
         other = f"another log ({old.get('path')})"
     elif old.get("topic", new.get("topic")) != new.get("topic"):
@@ -165,16 +162,14 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         raise SonarrecError(
             f"{folder}: holds the results of {other}; choose another --out, or give --overwrite"
         )
-    if is_changed:
-        return ExistingResults(reason="the log has changed")
-    if run.input.sha256_of != new.get("sha256_of"):
-        return ExistingResults(reason="its files were digested in another way")
     if why := why_outdated(run.table):
         return ExistingResults(reason=why)
+    if is_changed:
+        return ExistingResults(reason="the log has changed")
     # Not compared: what only a finished run states, where it ran and what its log was called.
     before = {k: v for k, v in run.table.items() if k != "finished"}
-    before["input"] = {k: v for k, v in old.items() if k not in (*_OF_THE_END, *_DIGEST)}
-    before["input"] |= {key: new[key] for key in ("path", "place", *_DIGEST) if key in new}
+    before["input"] = {k: v for k, v in old.items() if k not in _OF_THE_END}
+    before["input"] |= {key: new[key] for key in ("path", "place") if key in new}
     before["ran_on"] = coming["ran_on"]
     if before == coming:
         if changed := tables_changed(folder, run.input):
@@ -183,7 +178,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         return ExistingResults(True, *counts, list(run.input.problems))
     flat_old, flat_new = dict(flat(before)), dict(flat(coming))
     keys = [k for k in {**flat_new, **flat_old} if flat_old.get(k) != flat_new.get(k)]
-    keys = [k for k in keys if k != "program.settings_blake2b"]  # which sums up others
+    keys = [k for k in keys if k != "program.settings_sha256"]  # which sums up others
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
     return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
 
@@ -295,7 +290,6 @@ class Input:
     place: str | None = None  # relative to the results folder; or its URL
     bytes: Count | None = None
     sha256: str | None = None
-    sha256_of: str | None = None  # what it is of; None: of all bytes
     topic: str | None = None
     time: Clock | None = None
     frames: str | None = None
@@ -308,14 +302,8 @@ class Input:
     tables_sha256: dict[str, str] = field(default_factory=dict)  # by name of the file
     problems: tuple[str, ...] = ()
 
-    def is_of(self, size: int | None, sha256: str | None, sha256_of: str | None) -> bool:
-        """Whether these are the log's size in bytes, SHA-256, and what that is of.
-
-        By the size alone if the SHA-256 is of something else, as in earlier versions: `run` makes
-        such results anew, and others that use them say of which version they are.
-        """
-        if self.sha256_of != sha256_of:
-            return self.bytes == size
+    def is_of(self, size: int | None, sha256: str | None) -> bool:
+        """Whether these are the log's size in bytes and its SHA-256."""
         return (self.bytes, self.sha256) == (size, sha256)
 
     @property

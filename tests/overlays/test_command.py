@@ -31,10 +31,10 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     image_folder(tmp_path / "log", noise(4))
     with open_log("log") as log:
-        size, sha256, sha256_of = log.digest_source()
+        size, sha256 = log.digest_source()
         sonar = log.sonar.as_table()
     run = {
-        "input": {"name": "log", "bytes": size, "sha256": sha256, "sha256_of": sha256_of},
+        "input": {"name": "log", "bytes": size, "sha256": sha256},
         "sonar": sonar,
         "landmarks": BASIN.as_table(),
     }

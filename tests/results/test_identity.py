@@ -19,12 +19,12 @@ from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 
 SAMPLES = SAMPLE.parent
-RECORDED = (2, "983d71436ac8f8f1a18207609a9110c3")
+RECORDED = (2, "5b56cf0ecf9986019db68e73a69d5cec07bb7344d1eb68133206d9fb742e12c8")
 """RESULTS_VERSION when the tables on record last changed, and their digest."""
 
 
 def test_other_tables_on_record_ask_for_another_results_version() -> None:
-    digest = hashlib.blake2b(digest_size=16)
+    digest = hashlib.sha256()
     tables = [f for f in SAMPLES.rglob("*.csv") if f.name in ("frames.csv", "estimates.csv")]
     assert len(tables) >= 6
     for table in sorted(tables):
@@ -72,7 +72,7 @@ def test_results_of_another_version_are_told_by_all_that_use_them_and_made_anew(
     assert "up to date" in sonarrec("run", log, "-o", home / "out").stdout
 
 
-@pytest.mark.parametrize("key", ["model_blake2b", "settings_blake2b", "seed"])
+@pytest.mark.parametrize("key", ["model_sha256", "settings_sha256", "seed"])
 def test_another_model_and_edited_settings_are_told(results: Path, key: str) -> None:
     file = results / "run.toml"
     lines = file.read_text().splitlines()
@@ -91,9 +91,13 @@ def test_a_log_digested_another_way_is_changed(tmp_path: Path) -> None:
     log, file = image_folder(tmp_path / "log", frames(4)), tmp_path / "out" / "log" / "run.toml"
     sonarrec("run", log, "-o", tmp_path / "out")
     made = file.read_text()
-    of = read_run(file).input.sha256_of
-    assert of is not None
-    file.write_text(made.replace(of, "names, sizes, CRC-32"))
+    sha256 = read_run(file).input.sha256
+    assert sha256 is not None
+    file.write_text(made.replace(sha256, sha256[::-1]))
+    assert (
+        "another log"
+        in sonarrec("overlay", log, tmp_path / "out", "-o", tmp_path / "o", code=1).stderr
+    )
     assert "replaced" in sonarrec("run", log, "-o", tmp_path / "out").stderr
     assert file.read_text() == made
 

@@ -102,8 +102,8 @@ class OtherLog:
     path = Path("other.mcap")
     frame_count = 1
 
-    def digest_source(self) -> tuple[int, str, str | None]:
-        return 7, "abd", None
+    def digest_source(self) -> tuple[int, str]:
+        return 7, "abd"
 
 
 def test_another_log_is_told_by_its_sha256_else_by_its_frames(tmp_path: Path) -> None:
@@ -182,31 +182,6 @@ def test_tables_that_were_edited_are_told_and_run_anew(
     assert f"{name} was changed" in sonarrec("run", log, "-o", tmp_path / "out").stderr
     assert (folder / name).read_bytes() == whole
     assert "up to date" in sonarrec("run", log, "-o", tmp_path / "out").stdout
-
-
-def test_results_from_before_the_digest_of_names_are_of_the_same_log_by_its_size(
-    tmp_path: Path,
-) -> None:
-    """As version 0.1 left them: the SHA-256 of all bytes of all images, which nobody reads now."""
-    log, out = image_folder(tmp_path / "log", frames(4)), tmp_path / "out"
-    sonarrec("run", log, "--out", out)
-    run = out / "log" / "run.toml"
-    made = run.read_text()
-    lines = made.splitlines(keepends=True)
-    before = "".join(
-        f'sha256 = "{"0" * 64}"\n' if line.startswith("sha256 =") else line
-        for line in lines
-        if not line.startswith("sha256_of")
-    )
-    assert before.count("\n") == len(lines) - 1
-    run.write_text(before)
-    sonarrec("overlay", log, out, "-o", tmp_path / "shots")
-    assert "digested in another way" in sonarrec("run", log, "--out", out).stderr
-    assert run.read_text() == made
-    run.write_text(before)
-    (log / "frame1.png").write_bytes((log / "frame1.png").read_bytes() + b"\0")
-    told = sonarrec("overlay", log, out, "-o", tmp_path / "more", code=1).stderr
-    assert "another log" in told
 
 
 def test_a_report_of_results_whose_frames_were_cut(tmp_path: Path) -> None:
