@@ -83,15 +83,17 @@ def name_from_text(text: str) -> str:
     return name.decode(sys.getfilesystemencoding(), errors="surrogateescape")
 
 
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/{1,2}(?=[^/])")  # a Path keeps one slash only
+# A scheme has a limit, and a tail is never tried twice: else a long word takes its length squared.
+_SCHEME = r"[A-Za-z][A-Za-z0-9+.-]{1,30}:/{1,2}"  # a Path keeps one slash only
+_URL = re.compile(rf"{_SCHEME}(?=[^/])")
 # A password may hold any sign, if what is behind the colon is no port.
 _USER = (
     r"(?:[^\s/:@]*:(?!\d*(?:[/?#;]|$))(?:(?!:/)[^\n])*@"
     r"|[^\s/:@]*:(?:(?!:/)[^?#;\n])*@|[^\s/?#]*@)?"
 )
-_URL_PARTS = re.compile(rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^?;#]*).*", re.DOTALL)
+_URL_PARTS = re.compile(rf"({_SCHEME}){_USER}([^?;#]*).*", re.DOTALL)
 _IN_TEXT = re.compile(
-    rf"([A-Za-z][A-Za-z0-9+.-]+:/{{1,2}}){_USER}([^\s?;#'\"]*)(?:[?;#]\S*?(?=[:'\",;)\]]*(?:\s|$)))?"
+    rf"({_SCHEME}){_USER}([^\s?;#'\"]*)(?:[?;#](?:[:'\",;)\]]*+[^\s:'\",;)\]])*+)?"
 )
 
 

@@ -34,7 +34,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2881,
+    "cli": 2883,
     "drawing": 697,
     "evaluation": 3730,
     "geometry": 415,

@@ -120,6 +120,8 @@ def evaluate(
             notes = (*notes[:MOST_NOTES], f"and {number_of(more, 'more note')}; see --details")
         lines = (f"note: {note}" for note in notes)
         say(*lines, f"{folder}: {', '.join(files)}")
+    else:
+        print_notes((), notes)
     print_notes(worse)
     if code := WORSE if worse else PARTLY if unused else 0:
         leave(code)

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.rows import PROTOCOLS
+from sonarrec.errors import Diagnostics
+from sonarrec.evaluation.evaluate import LogToScore, evaluate_logs, score_logs
+from sonarrec.evaluation.rows import PROTOCOLS, ScoringOptions
 from tests.support.claims import all_scored, evaluate
 from tests.support.command import sonarrec
 from tests.support.pages import random_results, tables
@@ -105,6 +106,17 @@ def test_mistakes_by_hand(tmp_path: Path) -> None:
     ]
     assert found.mistakes.columns[: len(COLUMNS)].tolist() == COLUMNS
     assert found.mistakes["frames"].sum() == 12
+
+
+def test_there_may_be_more_methods_than_int8_counts(tmp_path: Path) -> None:
+    log, count = tmp_path / "log", 131
+    claims = [f"0,m{n},{1 + (n < 128)},2.0,0,0.9,1" for n in range(count)]
+    tables(log, range(3), "frame,method,landmark,range_m,bearing_deg,score,declared", claims)
+    (log / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2.0,0\n")
+    scored = LogToScore((log,), log / "gt.csv", "log")
+    _, [found], _ = score_logs([scored], ScoringOptions(), "scored", Diagnostics(), log)
+    right = [found.count(f"m{n}", "strict").tp for n in range(count)]
+    assert right == [0] * 128 + [1] * 3
 
 
 def test_a_log_that_lacks_a_method_missed_all_of_it(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_results_of_another_version_are_told_by_all_that_use_them_and_made_anew(
 ) -> None:
     log, home, file = results.parents[1] / "pan", results.parents[1], results / "run.toml"
     used = [
-        ("evaluate", results, "--ground-truth", SAMPLE / "gt.csv"),
+        ("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q"),  # which keeps notes
         ("overlay", log, results, "-o", home / "o.mcap"),
         ("report", results),
         ("truth", "review", log, "--results", results, "-o", home / "review.html"),
