@@ -1,8 +1,9 @@
 """Where a recording was paused or its clock was set: there a stretch ends, and with it all tracks.
 
 What was seen before a pause says nothing of what follows, however the frames are numbered. The rule
-looks only back. The reader applies it and numbers the stretches: `Frame.stretch`, and a column of
-frames.csv. Only tables of other programs, which lack the column, are numbered by their times.
+looks only back. The reader applies it to every clock that a frame has, and numbers the stretches:
+`Frame.stretch`, and a column of frames.csv. Only tables of other programs, which lack the column,
+are numbered by their times.
 """
 
 from __future__ import annotations
@@ -14,13 +15,17 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.records import Clock
+from sonarrec.records import NO_STAMPS, Clock, Stamps
 
 # A pause is longer than LEAST_PAUSE_NS and than PAUSE_STEPS times the longest of the last
-# KNOWN_STEPS steps: a sonar that sends in bursts, or a slow one, has no pauses.
+# KNOWN_STEPS steps: a sonar that sends in bursts, or a slow one, has no pauses. What is longer than
+# CERTAIN_PAUSE_NS and than CERTAIN_STEPS usual steps is one even between bursts.
 LEAST_PAUSE_NS, PAUSE_STEPS, KNOWN_STEPS = 2 * 10**9, 10, 10
+CERTAIN_PAUSE_NS, CERTAIN_STEPS = 60 * 10**9, 20
 CLEARLY_BACK_NS = 10**9
 """Threads of a recorder may swap frames, but not over a longer time."""
+LEAST_STEP_NS = 5_000_000
+"""No imaging sonar sends pings faster: shorter steps are those of a counter or of another unit."""
 YEAR_NS = 31_556_952 * 10**9
 HOUR_NS = 3_600 * 10**9
 NEAR_NS = 2 * 10**9  # of an hour, in which a log ends whose clock was set back by one
@@ -28,34 +33,57 @@ MOST_LISTED = 3  # pauses, one by one
 
 
 class Stretches:
-    """Decides of each frame whether it begins a stretch."""
+    """Decides of each frame whether it begins a stretch, by one clock.
+
+    step_ns: the time from the frame before. is_certain: whether it begins one whatever other clocks
+    say: by a clock that was set, or by a certain pause.
+    """
 
     def __init__(self) -> None:
         self._steps = deque[int](maxlen=KNOWN_STEPS)
+        self._known = deque[int](maxlen=KNOWN_STEPS)  # with the longest so far in place of pauses
         self._before: tuple[int, int] | None = None
+        self.step_ns, self.is_certain = 0, False
 
     def begins(self, frame: int, timestamp_ns: int) -> bool:
         """Whether the next frame begins a stretch. Not the first one, with which nothing ends."""
         before, self._before = self._before, (frame, timestamp_ns)
         if before is None:
             return False
-        step = timestamp_ns - before[1]
-        begins = step < -CLEARLY_BACK_NS or step > YEAR_NS
-        if step > LEAST_PAUSE_NS and len(self._steps) == KNOWN_STEPS:
-            # A log without times is numbered: each time is the frame's number times the period.
-            numbered = abs(timestamp_ns * before[0] - before[1] * frame) <= frame + before[0]
-            begins |= step > PAUSE_STEPS * self.longest_ns and not numbered
-        if begins:
-            # It counts as the longest so far: in its place there may have been one between bursts.
-            step = self.longest_ns
+        self.step_ns = step = timestamp_ns - before[1]
+        is_pause, self.is_certain = False, step < -CLEARLY_BACK_NS or step > YEAR_NS
+        # A log without times is numbered: each time is the frame's number times the period.
+        if (
+            step > LEAST_PAUSE_NS
+            and self._steps
+            and abs(timestamp_ns * before[0] - before[1] * frame) > frame + before[0]
+        ):
+            self.is_certain |= step > max(CERTAIN_PAUSE_NS, CERTAIN_STEPS * self.usual_ns)
+            # After two such steps in a row the sonar is slower.
+            longest = max(self.longest_ns, self._steps[-1])
+            is_pause = len(self._known) == KNOWN_STEPS and step > PAUSE_STEPS * longest
+        begins = is_pause or self.is_certain
         if step > 0:
             self._steps.append(step)
+        # In the place of a pause there may have been the longest step, one between bursts.
+        if (known := self.longest_ns if begins else step) > 0:
+            self._known.append(known)
         return begins
 
     @property
     def longest_ns(self) -> int:
         """The longest of the last steps."""
-        return max(self._steps, default=0)
+        return max(self._known, default=0)
+
+    @property
+    def runs(self) -> bool:
+        """Whether the clock is known to run, in the unit that it should have."""
+        return len(self._steps) == KNOWN_STEPS and self.usual_ns >= LEAST_STEP_NS
+
+    @property
+    def usual_ns(self) -> int:
+        """The median of the last steps, pauses among them."""
+        return sorted(self._steps)[len(self._steps) // 2]
 
 
 def stretch_numbers(frame: IntArray, timestamp_ns: IntArray | None) -> IntArray:
@@ -77,39 +105,67 @@ def stretches_of(frames: Mapping[str, Any]) -> IntArray:
 
 
 class Breaks:
-    """The notes on the times of a log's frames."""
+    """Decides of each frame of a log whether it begins a stretch; the notes on its times.
 
-    def __init__(self, least_back_ns: int = CLEARLY_BACK_NS) -> None:
-        """least_back_ns: by how much times must go back for a note."""
-        self._least_back_ns = least_back_ns
-        self._stretches = Stretches()
+    Any clock may tell, that of the sonar first: while it runs evenly, a short pause of another one
+    is the recorder's.
+    """
+
+    def __init__(self, clock: Clock = "log", least_back_ns: int = CLEARLY_BACK_NS) -> None:
+        """clock: which names the frames. least_back_ns: by how much it must go back for a note."""
+        self._clock, self._least_back_ns = clock, least_back_ns
+        nearest_first: tuple[Clock, ...] = ("header", "publish", "log")
+        self._clocks = {name: Stretches() for name in nearest_first}
+        self._set_back = dict[Clock, int]()  # the frame where a clock was set back the last time
         self._first_ns, self._before = 0, (-1, 0)
         self._count = Counter[bool]()  # of pauses, and of other breaks
         self._pauses = list[str]()
         self._paused_at = -1  # the frame after the last pause
         self._jump = ""  # the first
 
-    def add(self, frame: int, timestamp_ns: int) -> bool:
-        """Add the next frame; whether it begins a stretch."""
-        begins = self._stretches.begins(frame, timestamp_ns)
+    def add(self, frame: int, timestamp_ns: int, stamps: Stamps = NO_STAMPS) -> bool:
+        """Add the next frame; whether it begins a stretch. stamps: what other clocks say of it."""
+        steps = self._steps(frame, timestamp_ns, stamps)
         (before, before_ns), self._before = self._before, (frame, timestamp_ns)
         if before < 0:
             self._first_ns = timestamp_ns
             return False
         step = timestamp_ns - before_ns
-        is_pause = begins and 0 < step <= YEAR_NS
-        self._count[is_pause] += begins
-        if is_pause:
-            self._paused_at = frame
-            if len(self._pauses) < MOST_LISTED:
-                self._pauses.append(f"{duration(step)} after frame {before}")
-        elif not self._jump and (step < -self._least_back_ns or step > YEAR_NS):
+        if not self._jump and (step < -self._least_back_ns or step > YEAR_NS):
             self._jump = f"times jump ahead by {step / YEAR_NS:.1f} years at frame {frame} ("
             if step < 0:
                 back = f"{-step / 1e9:.1f} s" if -step < 100 * 10**9 else duration(-step)
                 self._jump = f"times go back by {back} at frame {frame} (were two recordings "
                 self._jump += "joined, or "
-        return begins
+        if not steps:
+            return False
+        reported = self._clock if self._clock in steps else next(iter(steps))
+        is_pause = reported != self._clock or 0 < step <= YEAR_NS  # else it is reported as a jump
+        self._count[is_pause] += 1
+        if is_pause:
+            self._paused_at = frame
+            length = duration(abs(steps[reported]))
+            if reported != self._clock:
+                back = "goes back by " if steps[reported] < 0 else ""
+                length = f"{reported} time {back}{length}"
+            self._pauses = [*self._pauses, f"{length} after frame {before}"][:MOST_LISTED]
+        return True
+
+    def _steps(self, frame: int, timestamp_ns: int, stamps: Stamps) -> dict[Clock, int]:
+        """By clock the steps in ns to this frame with which a stretch begins; mostly none."""
+        steps, even = dict[Clock, int](), False
+        for name, clock in [*self._clocks.items()]:
+            time_ns = timestamp_ns if name == self._clock else getattr(stamps, name)
+            if time_ns is None or (time_ns == 0 and name != self._clock):  # it was not set
+                continue
+            if clock.begins(frame, time_ns) and (clock.is_certain or not even):
+                steps[name] = clock.step_ns
+            even |= clock.runs and name not in steps
+            if name in steps and clock.step_ns < 0 and name != self._clock:
+                if frame - self._set_back.get(name, -KNOWN_STEPS - 1) <= KNOWN_STEPS:
+                    del self._clocks[name], steps[name]  # no clock is set so often
+                self._set_back[name] = frame
+        return steps
 
     def pauses(self) -> Iterator[str]:
         """A line on the pauses, if there are any."""
@@ -123,7 +179,7 @@ class Breaks:
         if self._jump:
             do = "give truth by frame" if other is None else f"try `run --time {other}`"
             yield f"{self._jump}was the clock set?); truth and poses by time fit one part: {do}"
-        span_ns = self._before[1] - self._first_ns + self._stretches.longest_ns
+        span_ns = self._before[1] - self._first_ns + self._clocks[self._clock].longest_ns
         alone = self._count[True] == 1 and not self._count[False]
         if alone and abs(span_ns - HOUR_NS) <= NEAR_NS:
             yield (

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sonarrec.records import Clock, Stamps
 from sonarrec.stretches import Breaks, Rate, Stretches, duration, stretch_numbers
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
@@ -41,6 +42,7 @@ ONE = {
     "bursts of ten pings": ([0.1] * 9 + [5.0]) * 6,
     "bursts of three pings": ([0.1] * 2 + [30.0]) * 20,
     "two sonars in turn": [0.02, 0.48] * 30,
+    "one in two minutes, sometimes two": ([120.0] * 4 + [0.3]) * 6,
     "whole seconds": WHOLE,
     "equal stamps": [0.0, 0.25] * 30,
     "hiccups of .7 s at 15 Hz": with_steps(steady(1 / 15, 60), n20=0.7, n40=0.7),
@@ -64,6 +66,11 @@ MORE: dict[str, tuple[list[float], list[int]]] = {
     "an hour at .05 Hz": (with_steps(steady(20.0), n20=HOUR), [21]),
     "a pause after eleven frames": (with_steps(steady(0.25), n10=60.0), [11]),
     "15 s at whole seconds": (with_steps(WHOLE, n59=15.0), [60]),
+    "two pings, then one in two minutes": ([0.25, *steady(120.0)], [2]),
+    "eight pings in ten minutes": (([0.25] * 7 + [600.0]) * 5, [8, 16, 24, 32, 40]),
+    "61 s after five frames": (with_steps(steady(0.25), n4=61.0), [5]),
+    "slower by more than ten times": (steady(0.25) + steady(8.0), [41]),
+    "fast, then one in two minutes": (steady(0.25) + steady(120.0), [41, 42, 43, 44, 45]),
     "a minute between bursts": (with_steps(([0.1] * 9 + [5.0]) * 6, n39=60.0), [40]),
     "set back between bursts": (with_steps(([0.1] * 9 + [5.0]) * 6, n39=-HOUR), [40]),
     "set back by an hour": (with_steps(steady(0.25), n20=-HOUR + 0.25), [21]),
@@ -139,15 +146,56 @@ def test_a_slower_sonar_pauses_where_a_faster_one_does(steps: list[int], factor:
 @given(STEPS)
 def test_the_rule_as_it_is_stated(steps: list[int]) -> None:
     """Written again by arrays."""
-    expected, earlier = [], list[int]()
+    expected, earlier, rising = [], list[int](), list[int]()
     for n, step in enumerate(steps, 1):
-        last = earlier[-10:]
-        if step < -(10**9) or (len(last) == 10 and step > max(2 * 10**9, 10 * max(last))):
+        last, before = earlier[-10:], rising[-10:]
+        is_pause = len(last) == 10 and step > max(2 * 10**9, 10 * max(last), 10 * before[-1])
+        above = sum(20 * other < step for other in before)
+        is_certain = step > 60 * 10**9 and 2 * above > len(before)
+        rising += [step] * (step > 0)
+        if step < -(10**9) or is_pause or is_certain:
             expected.append(n)
             step = max(last, default=0)
-        if step > 0:
-            earlier.append(step)
+        earlier += [step] * (step > 0)
     assert begins(10**18 + np.cumsum([0, *steps])) == expected
+
+
+# --- Several clocks ------------------------------------------------------------------------------
+
+EVEN, HOLE = np.cumsum(steady(0.25, 60)), np.cumsum(with_steps(steady(0.25, 60), n30=30.0))
+STALLED = np.cumsum(with_steps([0.25] * 20 + [5.0] + [0.001] * 19 + [0.25] * 20, n50=1.0))
+"""The times of a recorder that wrote nothing for 5 s, then what had waited."""
+
+
+@pytest.mark.parametrize(
+    ("log", "header", "expected", "named_by"),
+    [
+        (EVEN, HOLE, [30], "header"),
+        (HOLE, EVEN, [], "header"),
+        (EVEN, HOLE, [30], "log"),
+        (HOLE, EVEN, [], "log"),
+        (STALLED, EVEN, [], "log"),
+        (STALLED, STALLED, [20], "log"),
+        (STALLED, 0 * EVEN, [20], "log"),  # stamps that nobody set
+        (STALLED, 0 * EVEN + 5.0, [20], "log"),
+        (HOLE, HOLE / 1000, [30], "log"),  # the header has another unit
+        (120 * HOLE, EVEN, [30], "log"),  # an hour is no hiccup
+        (480 * EVEN, 480 * EVEN, [], "log"),
+        (EVEN / 250, HOLE, [30], "log"),  # a recording that was converted
+        (EVEN, EVEN - 900 * (EVEN > 5), [20], "log"),
+        (EVEN, EVEN + HOUR * (np.arange(60) % 2), [2], "log"),  # two sonars
+    ],
+)  # fmt: skip
+def test_any_clock_may_tell_a_pause_and_the_sonar_knows_a_hiccup(
+    log: np.ndarray, header: np.ndarray, expected: list[int], named_by: Clock
+) -> None:
+    breaks, begun = Breaks(named_by), list[int]()
+    for n, both in enumerate(zip(log, header, strict=True)):
+        stamps = dict(zip(("log", "header"), (round(t * 1e9) for t in both), strict=True))
+        if breaks.add(n, stamps[named_by], Stamps(**stamps)):
+            begun.append(n)
+    assert begun == expected
+    assert len([*breaks.pauses(), *breaks.set_clock(None)]) == len(expected)
 
 
 # --- What is told --------------------------------------------------------------------------------

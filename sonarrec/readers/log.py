@@ -148,7 +148,7 @@ class Log:
                 repeats["pictures"] += int(same and frame.pixels.any())
             start_ns = start_ns if before else frame.timestamp_ns
             before = frame
-            stretch += breaks.add(index, frame.timestamp_ns)
+            stretch += breaks.add(index, frame.timestamp_ns, frame.stamps)
             yield replace(frame, stretch=stretch)
         if next(numbered, None) is None:  # the end of the log
             self.diagnostics.end_pass()
@@ -163,7 +163,7 @@ class Log:
     def _breaks(self) -> Breaks:
         # Recorders of messages may swap some; a sonar's own file has them in order.
         ordered = self._time == "log" and not self._source.reader.has_topics
-        return Breaks(0 if ordered else CLEARLY_BACK_NS)
+        return Breaks(self._time, 0 if ordered else CLEARLY_BACK_NS)
 
     def _other_clock(self, stamps: Stamps) -> Clock | None:
         """A clock that could name the frames in place of this one; None: there is none."""

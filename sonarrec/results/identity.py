@@ -1,4 +1,4 @@
-"""What decided the results of a run, so that those of an earlier program are told from today's."""
+"""What decided the results of a run, which shows whether an earlier program made them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MODELS = ("stage3", "drawn")
 
 @cache
 def model_digest() -> str:
-    """SHA-256, in hex, of the built-in models: of the files beside the code of stage 3."""
+    """SHA-256, in hex, of the built-in models: of the data files of stage 3."""
     home = Path(__file__).parents[1] / "recogniser"
     files = [path for folder in _MODELS for path in (home / folder).iterdir() if path.is_file()]
     contents = [path.read_bytes() for path in files if path.suffix != ".py"]
@@ -80,4 +80,4 @@ def outdated(folders: Sequence[Path]) -> list[str]:
         return []
     (first, why), *more = found
     others = f" and {number_of(len(more), 'more folder')}" if more else ""
-    return [f"{first}{others}: {why}; `sonarrec run` of the log makes them anew"]
+    return [f"{first}{others}: {why}; `sonarrec run` of the log replaces them"]

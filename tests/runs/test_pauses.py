@@ -330,7 +330,7 @@ def test_names_in_local_time_as_summer_time_ends(tmp_path: Path) -> None:
         assert int(row["end_ns"]) - int(row["start_ns"]) < 10 * 10**9
 
 
-def test_the_clock_that_names_frames_counts(tmp_path: Path) -> None:
+def test_a_clock_that_was_set_back_ends_tracks_whichever_names_the_frames(tmp_path: Path) -> None:
     """The recorder's clock is steady; the sonar's was set back."""
     stamps = [(1000 + n if n < 12 else 100 + n) for n in range(24)]
     sent = [
@@ -341,7 +341,8 @@ def test_the_clock_that_names_frames_counts(tmp_path: Path) -> None:
     (tmp_path / "dive.sonar.toml").write_text(SONAR_TOML)
     with open_log(log) as opened:
         assert len(list(opened)) == 24
-        assert not opened.diagnostics.notes
+        [note] = opened.diagnostics.notes
+    assert "header time goes back by 15 min after frame 11" in note
     with open_log(log, time="header") as opened:
         assert len(list(opened)) == 24
         [note] = opened.diagnostics.notes
@@ -349,10 +350,28 @@ def test_the_clock_that_names_frames_counts(tmp_path: Path) -> None:
     assert "at frame 12" in note
     assert "--time log" in note
     out = tmp_path / "out"
-    for clock, first in (("log", ["0"]), ("header", ["0", "12"])):
+    for clock in ("log", "header"):
         sonarrec("run", log, "--time", clock, "-o", out, "--overwrite")
         rows = read_rows(out / "dive" / "frames.csv")
-        assert [r["frame"] for r in rows if not r["dyaw_deg"]] == first
+        assert [r["frame"] for r in rows if not r["dyaw_deg"]] == ["0", "12"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hole_s", "wrong"), [(30.0, range(1)), (0.25, range(40, 99))])
+def test_a_pause_that_only_header_stamps_show(hole_s: float, wrong: range, tmp_path: Path) -> None:
+    """Other discs lie in the same places afterwards."""
+    images = [frame.image for scene in parts(60, 2) for frame in render(scene)]
+    stamps = [START_NS + n * PERIOD_NS + (n >= 60) * round(hole_s * 1e9) for n in range(120)]
+    sent = [
+        ("/sonar", n * PERIOD_NS, cdr_image(image, stamp=divmod(stamp, 10**9)))
+        for n, (image, stamp) in enumerate(zip(images, stamps, strict=True))
+    ]
+    log, out = mcap_file(tmp_path / "dive.mcap", sent), tmp_path / "out"
+    like = paused(tmp_path / "like.mcap", 5.0)  # for its geometry and truth
+    for name in ("sonar.toml", "gt.csv"):
+        like.with_name(f"like.{name}").rename(log.with_name(f"dive.{name}"))
+    run(log, out)
+    assert evaluate(out / "dive").counts.count("framework", "strict").fp in wrong
 
 
 @pytest.mark.parametrize(("named", "pauses"), [(True, 1), (False, 0)])

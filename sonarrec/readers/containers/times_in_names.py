@@ -14,9 +14,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from sonarrec.arrays import IntArray
+from sonarrec.stretches import LEAST_STEP_NS
 
-# No imaging sonar sends pings faster: what rises by less from name to name counts, and is no time.
-LEAST_STEP_NS = 5_000_000
 _DAY_NS = 86_400 * 10**9
 _MOST_COUNTED = 10  # the longest step of a counter: every tenth frame was exported
 _YEARS = range(2010, 2040)  # of two digits
