@@ -10,6 +10,7 @@ import csv
 import glob
 import itertools
 import os
+import platform
 import re
 import shutil
 import struct
@@ -18,6 +19,7 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,6 +40,7 @@ VIDEO_MARK = struct.pack(">I4s", 24, b"free") + b"sonarrec overlay"
 _PNG_HEADER = 33
 _SEVERAL = 3  # images, that are more than a figure and its older version
 _numbers = itertools.count()
+_HOST = re.sub(r"[^0-9A-Za-z]", "", platform.node())  # others may write into the same folder
 _HEAD = 4096
 _MARKS: dict[Kind, bytes] = {
     "report": b"sonarrec report</title>",
@@ -158,12 +161,39 @@ def _images_of_others(folder: Path) -> Iterator[Path]:
             yield file
 
 
+def _temporary(folder: Path, suffix: str = "") -> Path:
+    """A free name in a folder, in which what killed processes have left is deleted."""
+    _delete_left(folder.resolve())
+    return folder / f".{_HOST}-{os.getpid()}-{next(_numbers)}.new{suffix}"
+
+
+@cache
+def _delete_left(folder: Path) -> None:
+    for path in folder.glob(f".{_HOST}-*.new*"):
+        process = re.fullmatch(rf"\.{_HOST}-(\d{{1,9}})-\d+\.new(\.\w+)?", path.name)
+        if process is not None and not _runs(int(process[1])):
+            with suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _runs(process: int) -> bool:
+    """Whether a process of this number runs here, or may do so."""
+    try:
+        if os.name == "posix":  # elsewhere this would end it
+            os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another user's
+        pass
+    return True
+
+
 @contextmanager
 def filled_at_once(folder: Path) -> Iterator[Path]:
     """A temporary folder inside `folder`, from which the files are moved there at the end, or
     deleted after an error. Raises OSError."""
     is_new = not folder.exists()
-    new = folder / f".{os.getpid()}-{next(_numbers)}.new"
+    new = _temporary(folder)
     try:
         new.mkdir(parents=True)
         yield new
@@ -221,7 +251,7 @@ def replaced(path: Path) -> Iterator[Path]:
         yield path
         return
     target = path.resolve()
-    new = target.with_name(f".{os.getpid()}-{next(_numbers)}.new{target.suffix}")
+    new = _temporary(target.parent, target.suffix)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if target.exists():

@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 
 from sonarrec.config import Config, preset
+from sonarrec.readers import log as readers_log
 from sonarrec.readers.containers import images
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import FloorPlane
@@ -153,6 +154,7 @@ def wide() -> Scene:
 
 
 PARTS: dict[str, tuple[float | None, tuple[tuple[object, str], ...]]] = {
+    "digest": (0.05, ((readers_log, "digest_of"),)),
     "decode": (None, ((images, "decode_image"), (images, "_contents"))),
     "warp": (0.25, ((FloorPlane, "warp"),)),
     "restore": (0.08, ((Levels, "_echoes"), (Unchanging, "_use"))),

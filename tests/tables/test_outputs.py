@@ -286,6 +286,18 @@ def test_a_simulation_that_is_terminated_leaves_nothing(work: Path) -> None:
     assert not [path for path in work.iterdir() if path.name.startswith((".", "x"))]
 
 
+def test_what_a_killed_simulation_left_is_removed_by_the_next(work: Path) -> None:
+    words = [sys.executable, "-m", "sonarrec", "simulate", "--frames", "100000", "-o", "x.mcap"]
+    with subprocess.Popen(words, cwd=work, stderr=subprocess.PIPE) as process:
+        until(lambda: any(work.glob(".*.new/x.mcap")))
+        process.kill()
+    (left,) = work.glob(".*.new")
+    of_a_running_process = left.with_name(left.name.replace(str(process.pid), str(os.getpid())))
+    of_a_running_process.mkdir()
+    assert sonarrec("simulate --frames 3 -q -o x.mcap").exit_code == 0
+    assert [*work.glob(".*.new")] == [of_a_running_process]
+
+
 @pytest.mark.parametrize(
     ("line", "link"),
     [
