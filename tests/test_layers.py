@@ -41,13 +41,13 @@ MOST_LINES = {
     "learning": 556,
     "mapping": 1392,
     "overlays": 546,
-    "readers": 6152,
+    "readers": 6160,
     "recogniser": 6419,
     "reports": 2126,
     "results": 1956,
     "runs": 1766,
     "simulation": 2504,
-    "tables": 982,
+    "tables": 1012,
     "truth": 1236,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

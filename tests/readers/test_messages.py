@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,20 @@ def test_two_sonars_on_one_topic_are_named(tmp_path: Path) -> None:
     (note,) = log.diagnostics.notes
     assert "port" in note
     assert "starboard" in note
+
+
+@pytest.mark.parametrize(("first", "in_turn"), [((0, 2, 4, 6, 8, 10), True), (range(6), False)])
+def test_two_channels_of_one_topic_that_take_turns_are_told(
+    first: Sequence[int], in_turn: bool, tmp_path: Path
+) -> None:
+    """One after the other they are parts of one recording."""
+    timed = [
+        ("/a" if k in first else "/a#2", k * PERIOD_NS, cdr_image(image))
+        for k, image in enumerate(frames(12))
+    ]
+    with open_log(mcap_file(tmp_path / "log.mcap", timed)) as log:
+        assert len(list(log)) == 12
+    assert any("2 channels" in note for note in log.diagnostics.notes) == in_turn
 
 
 # One message

@@ -350,3 +350,17 @@ def test_beams_that_a_mounting_pitches(pitch_deg: float, tmp_path: Path) -> None
     for edge in ("bearing_min_deg", "bearing_max_deg"):
         assert getattr(frame.fan, edge) == pytest.approx(getattr(expected.fan, edge), abs=1e-3)
     assert any("pitched" in note for note in notes) == (pitch_deg != 0)
+
+
+@pytest.mark.parametrize("roll_deg", [30.0, -20.0])
+def test_beams_that_a_mounting_rolls(roll_deg: float, tmp_path: Path) -> None:
+    flat, rolled = (messages.projected_fields(0, polar_frames(1)[0]) for _ in range(2))
+    roll = np.radians(roll_deg)
+    rolled["beam_directions"] = [
+        one | {"x": one["y"] * np.sin(roll), "y": one["y"] * np.cos(roll)}
+        for one in flat["beam_directions"]
+    ]
+    (expected,), _, _ = read(log_of(tmp_path / "flat.mcap", [flat]), sonar=TILT)
+    (frame,), _, _ = read(log_of(tmp_path / "log.mcap", [rolled]), sonar=TILT)
+    for edge in ("bearing_min_deg", "bearing_max_deg"):
+        assert getattr(frame.fan, edge) == pytest.approx(getattr(expected.fan, edge), abs=1e-3)

@@ -120,7 +120,8 @@ def mcap_file(
     chunked: bool = True,
     indexed: bool = True,
 ) -> Path:
-    """messages: (topic, log time, bytes), in the order to be written; small chunks, so several."""
+    """messages: (topic, log time, bytes), in the order to be written; small chunks, so several.
+    A topic "/a#2" is a channel more of "/a"."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         writer = Writer(
@@ -139,7 +140,9 @@ def mcap_file(
         channels: dict[str, int] = {}
         for topic, log_time, data in messages:
             if topic not in channels:
-                channels[topic] = writer.register_channel(topic, encoding, schema_id)
+                channels[topic] = writer.register_channel(
+                    topic.partition("#")[0], encoding, schema_id
+                )
             writer.add_message(channels[topic], log_time, data, publish_time=log_time + 1)
         writer.finish()
     (path.parent / "sonar.toml").write_text(SONAR_TOML)

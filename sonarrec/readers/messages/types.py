@@ -76,7 +76,7 @@ def _left_to_right(bearings_deg: FloatArray) -> FloatArray:
 
 
 def _fan_bearings(directions: FloatArray) -> tuple[FloatArray, float]:
-    """((beams,) bearings from left to right, pitch of the beams' plane, both in deg). directions:
+    """((beams,) bearings in their plane from left to right, its pitch, both in deg). directions:
     (beams, 3) unit vectors, which a driver may give in the axes of a vehicle. The forward axis is
     the one along which their mean is largest (z in the definition, x in some drivers). The axis
     across is the one along which they differ most."""
@@ -89,9 +89,15 @@ def _fan_bearings(directions: FloatArray) -> tuple[FloatArray, float]:
     across = int(np.argmax(spread))
     ahead = directions[:, forward] * np.sign(middle[forward])
     off = directions[:, 3 - forward - across]
+    side = directions[:, across]
     pitch = np.arctan2(off.mean(), ahead.mean())
-    ahead = ahead * np.cos(pitch) + off * np.sin(pitch)
-    bearings = _left_to_right(np.degrees(np.arctan2(directions[:, across], ahead)))
+    ahead, off = (
+        ahead * np.cos(pitch) + off * np.sin(pitch),
+        off * np.cos(pitch) - ahead * np.sin(pitch),
+    )
+    roll = np.arctan2(off @ side, side @ side)  # by least squares
+    side = side * np.cos(roll) + off * np.sin(roll)
+    bearings = _left_to_right(np.degrees(np.arctan2(side, ahead)))
     return bearings, float(np.degrees(pitch))
 
 
