@@ -83,6 +83,7 @@ def test_any_length_of_fraction_tells_the_same(times: list[int]) -> None:
         "2026-11-20_13-00-00_PM 2026-11-20_13-00-01_PM",
         "02-05-2026_09-00-00_250 02-05-2026_09-00-01_679",  # 2 May, or 5 February
         "20260502_090000_250_CEST 20260502_090001_679_CEST",
+        "Sat_May_02_09-00-00.130_2026 Sat_May_02_09-00-00.380_2026",  # no time of day
         "20260502_090000_12 20260502_090001_12",  # a channel, or hundredths
     ],
 )

@@ -57,6 +57,7 @@ _TIME_OF_DAY = [
 _SEEN = re.compile(
     r"(?<!\d)(?:20\d\d[-_. ]?(?:0[1-9]|1[0-2])[-_. ]?(?:0[1-9]|[12]\d|3[01])"
     r"|[0-3]\d[-_. ][0-3]\d[-_. ]20\d\d)"
+    rf"|{_NAMED}{_ANY}\d\d?(?!\d)(?=.*(?<!\d)20\d\d(?!\d))"
 )
 
 # What stands behind the seconds, in this order.

@@ -55,10 +55,10 @@ class ChannelImages(RawLog):
         self.frame_count = sum(log.counts.get(c, 0) for c in self._decoders)
 
     def __iter__(self) -> Iterator[StoredFrame]:
-        channels, before, turns = set[int](), None, 0
+        channels, before, changes = set[int](), None, 0
         for number, message in enumerate(self._log.messages(self._decoders)):
             channels.add(message.channel)
-            turns += message.channel != before
+            changes += message.channel != before
             before = message.channel
             name = f"message {number} of {self.topic}"
             if message.data is None or number in self.passed_over:
@@ -71,7 +71,7 @@ class ChannelImages(RawLog):
                 f"{self.topic} mixes messages of frame_id {', '.join(sorted(senders)[:MOST_NAMED])}"
                 "; if these are several sonars, write each to a log or topic of its own"
             )
-        elif turns > 2 * len(channels):  # else they are parts of one recording
+        elif changes > 2 * len(channels):  # else they are parts of one recording
             self.diagnostics.note(
                 f"messages of {len(channels)} channels take turns in {self.topic}; if these are "
                 "several sonars, write each to a log or topic of its own"
