@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.command import SAMPLE, sonarrec
+from tests.support.logs import frames, image_folder
 
 SHORT = ("--set", "continuity.particles=100", "-o", "out")
 SIX = """
@@ -89,3 +90,14 @@ def test_many_logs_end_in_a_table_of_what_was_found(pings: Path) -> None:
     again = sonarrec("run", *logs, "-j", "1", "-o", "out", code=3).stdout.splitlines()[-1]
     assert again.split() == ["pings", "3", "-", "ID.1:", "2"]
     assert "ID.1" not in sonarrec("run", *logs, "-o", "out", "-q", code=3).output
+
+
+@pytest.mark.parametrize(("pose", "told"), [("free", True), ("floor", False)])
+def test_poses_that_plates_do_not_use_are_told(pose: str, told: bool, tmp_path: Path) -> None:
+    log, tags, poses = tmp_path / "log", tmp_path / "tags.toml", tmp_path / "poses.csv"
+    image_folder(log, frames(3))
+    text = 'name = "tags"\nkind = "drawn"\nfamily = "actag24h10"\nids = [0, 2]\nsize_m = 0.3\n'
+    tags.write_text(f'{text}pose = "{pose}"\n')
+    poses.write_text("timestamp,yaw,x,y\n0,0,0,0\n1,1,0,0\n9,2,0,0\n")
+    done = sonarrec("run", log, "-o", tmp_path / "out", "--landmarks", tags, "--odometry", poses)
+    assert ("does not use the poses" in done.stderr) == told
