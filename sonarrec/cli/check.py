@@ -227,7 +227,7 @@ def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: boo
     print_notes(compared.unused)
     files = () if out is None else write_comparison(out, compared)
     if quiet:
-        print_notes([judged.sentence] if judged.faults else [])
+        print_notes([judged.sentence] if judged.faults else [], compared.notes)
         return
     click.echo(screen(compared, judged))
     lines = [f"note: {note}" for note in compared.notes]
