@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sonarrec.recogniser.stage3.model import built_in_model
 
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.recogniser.stage3.model import built_in_model
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.calibrate import _labelled
 from sonarrec.learning.fit import PRIOR_WEIGHT, fit
 from sonarrec.learning.samples import Samples, Tracks, label
-from sonarrec.recogniser.stage3.description import FEATURES
-from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
 from sonarrec.truth.match import Truth
 
 BASIN = load_landmarks("basin")

@@ -27,6 +27,9 @@ class Beliefs:
     """(n,) its standard error in steps, NaN where unknown."""
     enough_evidence: BoolArray
     """(n,) whether enough has been seen for an ID to be declared."""
+    lit: FloatArray | None = None
+    """(n, ANGLES) probability that the symbol is lit in each direction from the line of sight on,
+    counter-clockwise; NaN where nothing was read."""
     corners: FloatArray | None = None
     """(n, 4, 2) slant range (m) and bearing (deg) of a drawn plate's corners, those of the far edge
     first; NaN where it is not seen."""
