@@ -35,7 +35,7 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2881,
-    "drawing": 697,
+    "drawing": 733,
     "evaluation": 3_728,
     "geometry": 415,
     "learning": 556,
@@ -44,7 +44,7 @@ MOST_LINES = {
     "readers": 5894,
     "recogniser": 6419,
     "reports": 2121,
-    "results": 1868,
+    "results": 1872,
     "runs": 1766,
     "simulation": 2504,
     "tables": 982,

@@ -23,7 +23,7 @@ from sonarrec.drawing.pen import (
     pixel_unit,
 )
 from sonarrec.geometry import pixel_from_polar
-from sonarrec.landmarks import DrawnSet, LandmarkSet
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import Estimate, Fan, is_date, time_text
 
 AROUND = 1.15
@@ -117,7 +117,7 @@ def draw_frame(
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
         around = outline.mean(axis=0) + AROUND * (outline - outline.mean(axis=0))
         pen.label(caption(e, landmarks, score=score), around, colour)
-        if e.declared and e.read and not isinstance(landmarks, DrawnSet):
+        if e.declared and len(e.read) > 1 and np.isfinite(e.orientation_deg):
             _draw_symbols(pen, e, fan, landmarks, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
@@ -143,8 +143,8 @@ def _draw_symbols(
     for lit, radius, ink in rows:
         for first in middle[lit] - np.pi / steps + sight:
             arc = np.linspace(first, first + 2 * np.pi / steps, 4)
-            at = estimate.x_px, estimate.y_px, arc
-            pen.line(disc_outline(fan, radius * landmarks.radius_m, *at), ink, 2)
+            radius_m = radius * landmarks.radius_m
+            pen.line(disc_outline(fan, radius_m, estimate.x_px, estimate.y_px, arc), ink, 2)
 
 
 def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:

@@ -1,4 +1,4 @@
-"""Learns the appearance model from labelled recordings: `sonarrec calibrate`."""
+"""Adapts the reader of stage 3 to labelled recordings: `sonarrec calibrate`."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def learn(
     *,
     observe: Callable[[], object] | None = None,
 ) -> LearningReport:
-    """Learn an appearance model from logs and their gt.csv.
+    """Adapt the reader to logs and their gt.csv.
 
     ground_truth: one for all; None: that in the folder of each log. log_options: how the logs are
     read; poses and frames do not count. observe: called at every frame.
@@ -74,7 +74,7 @@ def learn(
     """
     if config.features.measurement != "track" or isinstance(landmarks, DrawnSet):
         raise UsageError(
-            "an appearance model is learned for discs, with features.measurement = track; drawn "
+            "the reader is adapted for discs, with features.measurement = track; drawn "
             "plates have the built-in one, and the paper's preset has the published one"
         )
     truths = [ground_truth or _truth_of_log(path) for path in paths]

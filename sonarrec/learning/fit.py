@@ -12,9 +12,11 @@ from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.reader import Pictures, Reader, Weights, sigmoid
 
 ADAPTED = ("lit", "disc", "other")
-# Weight of the prior, in frames: on squared differences from the built-in weights. The frames of a
-# track share a memory of 40 (features.memory_frames), and say hardly more than one would.
-PRIOR_WEIGHT = 100.0
+# Weight of the prior, in frames: on the squared change of each weight, as the root mean square of
+# what it does to log beliefs. The frames of a track share a memory of 40 (features.memory_frames),
+# and say hardly more than one would.
+PRIOR_WEIGHT = 300.0
+LEAST_SPREAD = 1e-3
 AT_ONCE = 500
 """Samples whose layers are in memory together."""
 
@@ -48,7 +50,9 @@ def fit(
     logs, slopes = (
         np.concatenate(p) for p in zip(*(_linear(reader, b) for b in blocks), strict=True)
     )
-    change = _most_likely(logs, slopes, label, prior_weight)
+    # A change counts by what it does to beliefs, for the layers' results differ in size.
+    spread = np.sqrt(np.mean(slopes**2, axis=(0, 1))) + LEAST_SPREAD
+    change = _most_likely(logs, slopes / spread, label, prior_weight) / spread
     weights, start = dict(built_in), 0
     for name in ADAPTED:
         end = start + len(built_in[name])
@@ -59,9 +63,11 @@ def fit(
 
 def _linear(reader: Reader, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
     """(n, K + 1) log beliefs by the reader, and (n, K + 1, D) their slopes along ADAPTED."""
-    every, whole = reader.layers(pictures)
-    reading = reader.reading(every, whole)
-    every, whole = (np.concatenate([v, np.ones((*v.shape[:-1], 1))], -1) for v in (every, whole))
+    layers = reader.layers(pictures)
+    reading = reader.reading(*layers)
+    of_directions, of_object = (
+        np.concatenate([v, np.ones((*v.shape[:-1], 1))], -1) for v in layers
+    )
     lit, scale = reading.lit, reader.scale
     ids = reading.rotation.shape[1]
     free = sigmoid(reading.free)[:, None]  # the share of 'none' that is a free symbol
@@ -72,11 +78,11 @@ def _linear(reader: Reader, pictures: Pictures) -> tuple[FloatArray, FloatArray]
         ],
         axis=1,
     )
-    of_lit = scale * directions @ every
-    of_disc = np.repeat(whole[:, None], ids + 1, axis=1)
+    of_lit = scale * directions @ of_directions
+    of_disc = np.repeat(of_object[:, None], ids + 1, axis=1)
     of_disc[:, -1] *= free
     of_other = np.zeros_like(of_disc)
-    of_other[:, -1] = free * whole
+    of_other[:, -1] = free * of_object
     slopes = np.concatenate([of_lit, of_disc, of_other], axis=2).astype(np.float32)
     return reading.log_beliefs, slopes
 

@@ -85,7 +85,7 @@ def describe(
     every: int = 1,
 ) -> Tracks:
     """Run stages 1 and 2 over a recording. Tracks that may well be nothing, which stage 3 does not
-    read, are left out. every: so many frames apart are those whose tracks are kept.
+    read, are left out. every: the tracks of every n-th frame are kept.
     """
     recorder = _Recorder(len(landmarks.ids))
     recogniser = fan = None

@@ -358,7 +358,7 @@ def _estimates_in(
         in_table = np.column_stack([table[name] for name in columns])
         complete = np.isfinite(in_table).all(axis=1)
         beliefs[complete] = in_table[complete]
-    symbols = np.asarray(table["read"]).astype(str) if "read" in table else [""] * count
+    symbols = [text if isinstance(text, str) else "" for text in table.get("read", blank)]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     of_estimates = {
         **positions(table, fan),

@@ -26,7 +26,7 @@ class RunOptions:
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
-    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
+    model: Path | None = None  # of calibrate; default: the earlier run's, else the built-in one
     earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
     # none are given; a plain file of settings has none of these
 

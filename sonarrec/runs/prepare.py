@@ -166,7 +166,7 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
 
 
 def _model(options: RunOptions, earlier: RunFile, landmarks: LandmarkSet) -> ModelFile | None:
-    """The appearance model of the file, else of the earlier run; None for the built-in one."""
+    """The model of the file, else of the earlier run; None for the built-in one."""
     if options.model is not None:
         model = read_model(options.model)
         if all(c.features.measurement == "single" for c in options.configs):

@@ -57,11 +57,11 @@ def drawn(landmark: int, turn: int, bright: float = 2.0, dark: float = -1.0) -> 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_beliefs_are_those_of_the_formulas_written_out(seed: int) -> None:
     pictures = random_pictures(seed, 1)
-    every, whole = READ.layers(pictures)
-    reading = READ.reading(every, whole)
+    of_directions, of_object = READ.layers(pictures)
+    reading = READ.reading(of_directions, of_object)
     last = {name: WEIGHTS[name] for name in ("lit", "disc", "other")}
-    lit = [float(d @ last["lit"][:-1] + last["lit"][-1]) for d in every[0]]
-    disc, other = (float(whole[0] @ last[n][:-1] + last[n][-1]) for n in ("disc", "other"))
+    lit = [float(d @ last["lit"][:-1] + last["lit"][-1]) for d in of_directions[0]]
+    disc, other = (float(of_object[0] @ last[n][:-1] + last[n][-1]) for n in ("disc", "other"))
     scale = math.exp(WEIGHTS["scale"][0])
     np.testing.assert_allclose(reading.lit[0], lit, atol=1e-4)
     for k in range(4):

@@ -100,7 +100,7 @@ class AppearanceMeasurement:
             rotation[np.arange(n), best],
             rotation_sigma[np.arange(n), best],
             enough_evidence,
-            lit,
+            lit=lit,
         )
 
     def _smear(self, positions: FloatArray) -> FloatArray:

@@ -27,6 +27,11 @@ from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP
 
 LAYERS = ((3, 1), (5, 1), (5, 2), (3, 4))
 """Width and dilation of each layer, in directions."""
+AROUND = [
+    (np.arange(ANGLES)[:, None] + (np.arange(width) - width // 2) * dilation) % ANGLES
+    for width, dilation in LAYERS
+]
+"""The directions that each layer looks at, from each direction: (ANGLES, width)."""
 THETA = (np.arange(ANGLES) + 0.5) * STEP
 SIGHT = np.stack([np.cos(THETA), np.sin(THETA)], 1)
 LAST_LAYER = ("lit", "disc", "other", "scale")
@@ -93,29 +98,31 @@ class Reader:
 
     def __call__(self, pictures: Pictures) -> Reading:
         """Read n pictures. Objects do not affect each other."""
-        every, whole = self.layers(pictures)
-        return self.reading(every, whole)
+        of_directions, of_object = self.layers(pictures)
+        return self.reading(of_directions, of_object)
 
     def layers(self, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, C) and (n, H), what the last layer judges: each direction, and the object."""
         w, h = self._weights, _steps(_inputs(pictures))
-        for i, (width, dilation) in enumerate(LAYERS):
-            taps = [np.roll(h, (width // 2 - j) * dilation, axis=1) for j in range(width)]
-            new = np.concatenate(taps, axis=2) @ w[f"conv{i}"] + w[f"conv{i}_bias"]
+        for i, around in enumerate(AROUND):
+            taps = np.take(h, around, axis=1).reshape(len(h) * ANGLES, around.shape[1] * h.shape[2])
+            new = taps @ w[f"conv{i}"]
+            new += w[f"conv{i}_bias"]
             np.maximum(new, 0, out=new)
+            new = new.reshape(len(h), ANGLES, new.shape[1])
             h = _steps(new + h if i else new)
         existence = np.clip(pictures.existence, 1e-3, 1 - 1e-3)
         given = [np.log(existence / (1 - existence)) / 3, pictures.smear * 5]
         parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), np.stack(given, axis=1)]
-        whole = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
-        return h, _steps(np.maximum(whole, 0))
+        of_object = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
+        return h, _steps(np.maximum(of_object, 0))
 
-    def reading(self, every: FloatArray, whole: FloatArray) -> Reading:
+    def reading(self, of_directions: FloatArray, of_object: FloatArray) -> Reading:
         """What the last layer makes of the results of `layers`."""
         w = self._weights
-        lit = (every @ w["lit"][:-1] + w["lit"][-1]).astype(float)
+        lit = (of_directions @ w["lit"][:-1] + w["lit"][-1]).astype(float)
         disc, other = (
-            (whole @ w[name][:-1] + w[name][-1]).astype(float) for name in ("disc", "other")
+            (of_object @ w[name][:-1] + w[name][-1]).astype(float) for name in ("disc", "other")
         )
         fit = self._fit(lit)
         ids = disc[:, None] + np.logaddexp.reduce(fit, axis=1) - np.log(ANGLES)
@@ -162,12 +169,12 @@ def _inputs(pictures: Pictures) -> FloatArray:
         np.clip(level, -6, 8) / 3,
         np.minimum(pictures.count, 8) / 8,
     ]
-    whole = [np.log(spread[:, 0, 0]), mean[:, 0, 0] / 3, np.clip(pictures.smear, 0, 0.5) * 5]
+    of_picture = [np.log(spread[:, 0, 0]), mean[:, 0, 0] / 3, np.clip(pictures.smear, 0, 0.5) * 5]
     shape = len(level), ANGLES
     parts = [
         np.concatenate(cells, axis=1).transpose(0, 2, 1),
         np.broadcast_to(SIGHT, (*shape, 2)),
-        np.broadcast_to(np.stack(whole, axis=1)[:, None], (*shape, len(whole))),
+        np.broadcast_to(np.stack(of_picture, axis=1)[:, None], (*shape, len(of_picture))),
     ]
     return np.concatenate(parts, axis=2)
 

@@ -30,7 +30,7 @@ FRAMES = 64  # of each recording: more recordings teach more than longer ones
 EVERY = 4  # so many frames apart are those that teach: neighbours are much the same
 # Seeds of the built-in reader. Those from 2000 on are for choosing settings (tuning seeds), those
 # from 3000 on for figures that are reported: no recording serves two purposes.
-FIRST_SEED = 1000
+MODEL_SEEDS = range(1000, 1100)
 # How many recordings of each kind. Kinds beyond the basin, and those whose discs are few beams
 # wide, have more: they differ more from one recording to the next.
 RECORDINGS = {
@@ -108,6 +108,4 @@ def make_model(recordings: Sequence[tuple[str, int]], drawn: int = DRAWN, seed: 
 
 
 if __name__ == "__main__":
-    make_model(
-        [(k, seed) for k, n in RECORDINGS.items() for seed in range(FIRST_SEED, FIRST_SEED + n)]
-    )
+    make_model([(k, seed) for k, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]])

@@ -122,8 +122,10 @@ class _Scene:
         self.rng, self.place = rng, place
         self.level = np.zeros((SIZE, SIZE), np.float32)
         self.shines = np.zeros((SIZE, SIZE), bool)
-        self.plate_db = u(-14, 3)
-        self.lit_db = self.plate_db + (u(3, 6) if u() < 0.15 else u(5, 15))
+        above_plate = u(3, 6) if u() < 0.15 else u(5, 15)
+        # Where nothing of a disc is brighter than the floor it cannot be told from a shadow.
+        self.lit_db = max(u(-14, 3) + above_plate, u(-3, 2))
+        self.plate_db = self.lit_db - above_plate
         self.ring_db = self.lit_db + u(-4, 3)
 
     def set(self, where: FloatArray, level_db: float, shines: bool = False) -> None:
@@ -194,20 +196,21 @@ def _stone(scene: _Scene, _: LandmarkSet) -> None:
 
 
 def _shadow(scene: _Scene, _: LandmarkSet) -> None:
-    """A black area, often with a bright front."""
+    """Black areas of any outline, often with a bright front."""
     rng, place = scene.rng, scene.place
-    angle, (right, far) = rng.normal(0, 0.4), rng.normal(0, 0.5, 2)
-    across = (place.right - right) * np.cos(angle) + (place.far - far) * np.sin(angle)
-    along = (place.far - far) * np.cos(angle) - (place.right - right) * np.sin(angle)
-    wide, deep = rng.uniform(0.3, 1.3, 2)
-    square = np.maximum(np.abs(across / wide), np.abs(along / deep))
-    scene.set(
-        (across / wide) ** 2 + (along / deep) ** 2 < 1 if rng.uniform() < 0.6 else square < 1,
-        -rng.uniform(6, 20),
-    )
-    if rng.uniform() < 0.7:
-        front = (np.abs(across) < wide) & (along < -deep) & (along > -deep - rng.uniform(0.1, 0.5))
-        scene.set(front, rng.uniform(3, 14), shines=True)
+    for _ in range(rng.integers(1, 3)):
+        angle, (right, far) = rng.normal(0, 0.5), rng.normal(0, 0.45, 2)
+        across = (place.right - right) * np.cos(angle) + (place.far - far) * np.sin(angle)
+        along = (place.far - far) * np.cos(angle) - (place.right - right) * np.sin(angle)
+        wide, deep = rng.uniform(0.2, 1.2, 2)
+        bent = along + rng.normal(0, 0.5) * across**2
+        power = rng.choice([1.0, 2.0, 8.0])  # a rhomb, an ellipse, nearly a rectangle
+        inside = np.abs(across / wide) ** power + np.abs(bent / deep) ** power < 1
+        scene.set(inside, -rng.uniform(6, 20))
+        if rng.uniform() < 0.6:
+            front = (np.abs(across) < wide) & (bent < -deep)
+            front &= bent > -deep - rng.uniform(0.1, 0.5)
+            scene.set(front, rng.uniform(3, 14), shines=True)
 
 
 def _tyre(scene: _Scene, _: LandmarkSet) -> None:
@@ -256,9 +259,9 @@ def _floor(scene: _Scene, landmarks: LandmarkSet) -> None:
 
 
 FAKES: tuple[tuple[Callable[[_Scene, LandmarkSet], None], float], ...] = (
-    (_floor, 0.03), (_blank, 0.10), (_filled, 0.14), (_half_ring, 0.10), (_blobs, 0.06),
-    (_edge, 0.04), (_twigs, 0.04), (_letter, 0.09), (_stone, 0.22), (_tyre, 0.08),
-    (_square, 0.03), (_shadow, 0.07),
+    (_floor, 0.02), (_blank, 0.09), (_filled, 0.12), (_half_ring, 0.09), (_blobs, 0.05),
+    (_edge, 0.04), (_twigs, 0.04), (_letter, 0.08), (_stone, 0.24), (_tyre, 0.06),
+    (_square, 0.03), (_shadow, 0.14),
 )  # fmt: skip
 
 
