@@ -200,8 +200,8 @@ class Features:
         "goes to the one object of a frame for which it is most probable (Section 4), and the "
         "others have score 0",
     )
-    # The least, in steps of 0.10 from 0.75 on, without a false claim in thirteen recordings of other
-    # worlds. On tuning seeds of hard kinds it halves false claims, and costs .03 of the TPR.
+    # The least, in steps of 0.10 from 0.75 on, without a false claim in thirteen recordings of
+    # other worlds. On tuning seeds of hard kinds it halves false claims, for .03 of the TPR.
     declare: Share = _setting(0.85, "probability", "least score at which an ID is declared")
 
 
