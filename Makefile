@@ -5,7 +5,7 @@ SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
 .PHONY: test test-slow test-all lint demo bench paper scenes worlds model plates plate-model \
-	transfer regression results scale clean
+	regression results scale clean
 
 .venv/program: pyproject.toml  # what a user needs
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -54,11 +54,9 @@ scenes: .venv/installed  # every kind of random scene, all methods, beside the g
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
 	$(BIN)/python -m tests.studies.worlds --record worlds
 
-model: .venv/installed  # the built-in appearance model, from simulated recordings (minutes)
+model: .venv/installed  # the built-in reader of stage 3, learned from nothing (over half an hour)
+	$(BIN)/pip install -q -e '.[learn]'
 	$(BIN)/python -m tests.studies.learning.built_in
-
-transfer: .venv/installed  # features of stage 3, in kinds of world they were not learned from
-	$(BIN)/python -m tests.studies.transfer --record transfer
 
 plates: .venv/installed  # sixteen drawings that no model was learned from, on simulated plates
 	$(BIN)/python -m tests.studies.plates

@@ -111,3 +111,8 @@ def joined(parts: Sequence[Record]) -> Record:
     return type(parts[0])(
         *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(parts[0]))
     )
+
+
+def rows_of(record: Record, which: BoolArray | IntArray | slice) -> Record:
+    """The record's rows that a mask, indices or a slice choose, of each field."""
+    return type(record)(*(getattr(record, f.name)[which] for f in fields(record)))

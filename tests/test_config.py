@@ -160,3 +160,14 @@ def test_a_run_toml_is_a_settings_file_too(tmp_path):
         )
     )
     assert printed("--config", str(file)) == dataclasses.asdict(settings)
+
+
+def test_a_setting_that_is_gone_is_told_with_what_to_do(tmp_path):
+    """Files of earlier versions have it, their run.toml too."""
+    file = tmp_path / "old.toml"
+    for text in ("[features]\nalike_radii = 0.3\n", "[config.features]\nalike_radii = 0.3\n"):
+        file.write_text(text)
+        with pytest.raises(UsageError, match=r"alike_radii.*delete it"):
+            config.configs(path=file)
+    with pytest.raises(UsageError, match="delete it"):
+        config.with_assignments(config.preset("default"), ["features.alike_radii=0.3"])

@@ -35,7 +35,7 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2883,
-    "drawing": 697,
+    "drawing": 733,
     "evaluation": 3730,
     "geometry": 415,
     "learning": 556,

@@ -50,7 +50,7 @@ REFUSED = {
 }
 """Parts of names that code must not have, and what is used in place of them."""
 KEYS = {
-    "config": {"alike_radii", "strikes", "count_strikes"},
+    "config": {"strikes", "count_strikes"},
     "run_file": {"place"},
     "scene": {"turned_deg"},
     "model": {"at"},

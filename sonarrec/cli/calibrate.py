@@ -1,4 +1,4 @@
-"""`sonarrec calibrate`: learn the appearance model from one's own labelled logs."""
+"""`sonarrec calibrate`: adapt the reader of stage 3 to one's own labelled logs."""
 
 from __future__ import annotations
 

@@ -51,8 +51,19 @@ def landmark_colours(ids: Sequence[int]) -> dict[int, Colour]:
     return colours
 
 
-def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatArray:
-    """(48, 2) column and row, in fan pixels, of the edge of a floor disc centred at a fan pixel.
+ALL_ROUND = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+
+
+def disc_outline(
+    fan: Fan,
+    radius_m: float,
+    x_px: float,
+    y_px: float,
+    angle: FloatArray = ALL_ROUND,
+) -> FloatArray:
+    """(n, 2) column and row, in fan pixels, of the edge of a floor disc centred at a fan pixel.
+
+    angle: (n,) of its points, counter-clockwise from the right, seen from above.
 
     Exact for a flat floor: almost an ellipse, squeezed along the range and stretched across it. If
     the centre is nearer than the floor can be, the outline has the shape of one at the nearest
@@ -61,7 +72,6 @@ def disc_outline(fan: Fan, radius_m: float, x_px: float, y_px: float) -> FloatAr
     range_m, bearing_deg = polar_from_pixel(fan, x_px, y_px)
     floor_m = np.maximum(range_m, STEEPEST * floor_depth(fan))
     ground, bearing = ground_range(fan, floor_m), np.radians(bearing_deg)
-    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     across = ground * np.sin(bearing) + radius_m * np.cos(angle)
     along = ground * np.cos(bearing) + radius_m * np.sin(angle)
     range_m = slant_range(fan, np.hypot(across, along))

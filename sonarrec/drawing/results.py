@@ -15,6 +15,7 @@ from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import (
     TRUTH,
     UNNAMED,
+    Colour,
     Pen,
     disc_outline,
     landmark_colours,
@@ -27,6 +28,8 @@ from sonarrec.records import Estimate, Fan, is_date, time_text
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn, so that estimates do not hide it."""
+READ = 1.3
+"""Radius, in discs, at which the symbol is drawn that was read."""
 TRAIL_FRAMES = 20
 STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
@@ -114,11 +117,34 @@ def draw_frame(
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
         around = outline.mean(axis=0) + AROUND * (outline - outline.mean(axis=0))
         pen.label(caption(e, landmarks, score=score), around, colour)
+        if e.declared and len(e.read) > 1 and np.isfinite(e.orientation_deg):
+            _draw_symbols(pen, e, fan, landmarks, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
         pen.dashes(outline, TRUTH)
         pen.label(f"ID.{mark.landmark}", outline, TRUTH, below=True)
     return pen.canvas
+
+
+def _draw_symbols(
+    pen: Pen, estimate: Estimate, fan: Fan, landmarks: LandmarkSet, colour: Colour
+) -> None:
+    """Around a disc, arcs where the ID's symbol is lit, and outside these, white, where it was read
+    to be lit."""
+    steps = len(estimate.read)
+    middle = (np.arange(steps) + 0.5) * 2 * np.pi / steps
+    sight, orientation = np.radians([90 - estimate.bearing_deg, estimate.orientation_deg])
+    code = landmarks.codes((middle + sight - orientation) % (2 * np.pi))
+    read = np.frombuffer(estimate.read.encode(), np.uint8) - ord("0")
+    rows = (
+        (code[landmarks.ids.index(estimate.landmark)] > 0.5, AROUND, colour),
+        (read > 4, READ, TRUTH),
+    )
+    for lit, radius, ink in rows:
+        for first in middle[lit] - np.pi / steps + sight:
+            arc = np.linspace(first, first + 2 * np.pi / steps, 4)
+            radius_m = radius * landmarks.radius_m
+            pen.line(disc_outline(fan, radius_m, estimate.x_px, estimate.y_px, arc), ink, 2)
 
 
 def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:

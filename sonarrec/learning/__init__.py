@@ -1,1 +1,1 @@
-"""The appearance model of stage 3, learned from recordings whose truth is known."""
+"""The reader of stage 3, adapted to recordings whose truth is known."""

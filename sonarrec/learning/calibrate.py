@@ -1,4 +1,4 @@
-"""Learns the appearance model from labelled recordings: `sonarrec calibrate`."""
+"""Adapts the reader of stage 3 to labelled recordings: `sonarrec calibrate`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.recogniser.restore.beam_width import with_beams
-from sonarrec.recogniser.stage3.model import AppearanceModel, built_in_model
+from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights
+from sonarrec.recogniser.stage3.reader import Reader, Weights
+from sonarrec.recogniser.stage3.shape_matrix import rotated_codes
 from sonarrec.records import Frame
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
@@ -41,18 +43,18 @@ class LearningReport:
     """A learned model; lines to print on what it was learned from and how good it is; and what
     could not be used, and what the recordings do not teach."""
 
-    model: AppearanceModel
+    model: Weights
     summary: list[str]
     diagnostics: Diagnostics
 
     def as_toml(self) -> str:
         """The model as a file, with what it was learned from as comments."""
         head = [
-            "Log odds of an ID against 'none of these' = bias + the curves of all features.",
+            "The last layer of the reader in stage 3, adapted to recordings (sonarrec calibrate).",
             f"{MODEL_MARK}:",
             *self.summary,
         ]
-        return "".join(f"# {line}\n" for line in head) + self.model.as_toml()
+        return "".join(f"# {line}\n" for line in head) + as_toml(self.model)
 
 
 def learn(
@@ -64,7 +66,7 @@ def learn(
     *,
     observe: Callable[[], object] | None = None,
 ) -> LearningReport:
-    """Learn an appearance model from logs and their gt.csv.
+    """Adapt the reader to logs and their gt.csv.
 
     ground_truth: one for all; None: that in the folder of each log. log_options: how the logs are
     read; poses and frames do not count. observe: called at every frame.
@@ -72,7 +74,7 @@ def learn(
     """
     if config.features.measurement != "track" or isinstance(landmarks, DrawnSet):
         raise UsageError(
-            "an appearance model is learned for discs, with features.measurement = track; drawn "
+            "the reader is adapted for discs, with features.measurement = track; drawn "
             "plates have the built-in one, and the paper's preset has the published one"
         )
     truths = [ground_truth or _truth_of_log(path) for path in paths]
@@ -223,8 +225,8 @@ def _learned(
 ) -> LearningReport:
     """Learn from the lessons."""
     parts = [lesson.samples for lesson in used]
-    built_in = built_in_model()
-    model = fit(parts, built_in)
+    built_in, codes = built_in_weights(), rotated_codes(landmarks)
+    model = fit(parts, built_in, codes)
     # They go into a comment too, where a line break in a name would end it.
     logs = ", ".join(printable(lesson.log) for lesson in used)
     frames = sum(lesson.frames for lesson in used)
@@ -243,8 +245,8 @@ def _learned(
     )
     strange = [part_of(lesson.samples, lesson.strange) for lesson in used]
     before, after = (  # belief in any ID
-        np.concatenate([1 - m.probabilities(s.features, s.smear)[:, -1] for s in strange])
-        for m in (built_in, model)
+        np.concatenate([1 - read(s.pictures).probabilities[:, -1] for s in strange])
+        for read in (Reader(built_in, codes), Reader(model, codes))
     )
     if len(after):
         lines.append(
@@ -253,7 +255,7 @@ def _learned(
         )
     if unseen:
         diagnostics.note(
-            f"{', '.join(unseen)} never seen: all IDs share the curves, but whether they fit these "
-            "IDs is not shown"
+            f"{', '.join(unseen)} never seen: all IDs share one reader, but whether it reads "
+            "these is not shown"
         )
     return LearningReport(model, lines, diagnostics)

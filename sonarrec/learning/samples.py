@@ -1,20 +1,22 @@
-"""Makes samples from recordings with truth: every track in every frame, described and labelled."""
+"""Makes samples from recordings with truth: the pictures of every track, and what they show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined, rows_of
 from sonarrec.config import Config
 from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
-from sonarrec.recogniser.stage3.description import FEATURES
+from sonarrec.recogniser.stage3.appearance import LEAST_EXISTENCE
+from sonarrec.recogniser.stage3.reader import Pictures, Reading
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES
 from sonarrec.recogniser.three_stages import DiscStages
 from sonarrec.records import Fan, Frame
 
@@ -27,11 +29,11 @@ HIDDEN = -1
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """One recording's frames, and every track in every frame, described.
+    """One recording's frames, and the picture of every track in every frame.
 
     frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame, rising. number: (n,) of the
-    track. position: (n, 2) metres in the fan plane, right and ahead of the sonar. features:
-    (n, K, F). smear: (n,) the beam's standard deviation across the line of sight, in disc radii.
+    track. position: (n, 2) metres in the fan plane, right and ahead of the sonar. pictures:
+    of the tracks.
     """
 
     name: str
@@ -42,64 +44,77 @@ class Tracks:
     row: IntArray
     number: IntArray
     position: FloatArray
-    features: FloatArray
-    smear: FloatArray
+    pictures: Pictures
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Described tracks with what they truly are.
+    """Pictures of tracks, with what these truly are.
 
-    features: (n, K, F). smear: (n,) as Tracks. label: (n,) index of the ID in the set, K for 'none
-    of these', HIDDEN where nothing can be learned. track: (n,) number of the track.
+    label: (n,) index of the ID in the set, K for 'none of these', HIDDEN where nothing can be
+    learned. track: (n,) number of the track.
     """
 
-    features: FloatArray
-    smear: FloatArray
+    pictures: Pictures
     label: IntArray
     track: IntArray
 
 
 class _Recorder:
-    """Takes the place of the model while samples are gathered; keeps the last features."""
+    """Takes the place of the reader while samples are gathered; keeps the last pictures."""
 
     every_frame: ClassVar = True
-    features: FloatArray
-    smear: FloatArray
+    pictures: Pictures
 
-    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
-        self.features, self.smear = features, smear
-        n, ids, _ = features.shape
-        return np.full((n, ids + 1), 1 / (ids + 1))
+    def __init__(self, ids: int) -> None:
+        self._ids = ids
+
+    def __call__(self, pictures: Pictures, /) -> Reading:
+        self.pictures = pictures
+        n, ids = len(pictures.smear), self._ids
+        nothing = np.zeros((n, ids))
+        return Reading(np.zeros((n, ANGLES)), np.zeros(n), np.zeros((n, ids + 1)), nothing, nothing)
 
 
 def describe(
-    frames: Iterable[Frame], config: Config, landmarks: LandmarkSet, *, name: str = ""
+    frames: Iterable[Frame],
+    config: Config,
+    landmarks: LandmarkSet,
+    *,
+    name: str = "",
+    every: int = 1,
 ) -> Tracks:
-    """Run stages 1 and 2 over a recording and describe every track in every frame."""
-    recorder = _Recorder()
+    """Run stages 1 and 2 over a recording. Tracks that may well be nothing, which stage 3 does not
+    read, are left out. every: the tracks of every n-th frame are kept.
+    """
+    recorder = _Recorder(len(landmarks.ids))
     recogniser = fan = None
     times: list[tuple[int, int]] = []
     where: list[tuple[int, int]] = []
     polar: list[tuple[float, float]] = []
-    features: list[FloatArray] = [np.empty((0, len(landmarks.ids), len(FEATURES)), np.float32)]
-    smear: list[FloatArray] = [np.empty(0)]
+    of_frames: list[Pictures] = []
     pictures = Levels(landmarks.radius_m).restored(Unchanging().filled(frames))
     for row, frame in enumerate(pictures):
         fan = fan or frame.fan
         recogniser = recogniser or DiscStages(config, fan, landmarks, recorder, smi=None)
         tracks = recogniser.step(frame).estimates
         times.append((frame.index, frame.timestamp_ns))
-        where += [(row, e.object) for e in tracks]
-        polar += [(e.range_m, e.bearing_deg) for e in tracks]
-        features.append(recorder.features[: len(tracks)].astype(np.float32))  # half the memory
-        smear.append(recorder.smear[: len(tracks)])
+        if row % every:
+            continue
+        likely = np.flatnonzero(recorder.pictures.existence >= LEAST_EXISTENCE)
+        where += [(row, tracks[i].object) for i in likely]
+        polar += [(tracks[i].range_m, tracks[i].bearing_deg) for i in likely]
+        kept = rows_of(recorder.pictures, likely)
+        halves = (
+            kept.brightness.astype(np.float16),
+            kept.count.astype(np.float16),
+        )  # half the memory
+        of_frames.append(replace(kept, brightness=halves[0], count=halves[1]))
     index, stamp, of_frame, number = (
         column for pairs in (times, where) for column in np.array(pairs, np.int64).reshape(-1, 2).T
     )
     position = plane_from_polar(*np.array(polar).reshape(-1, 2).T)
-    described = np.concatenate(features), np.concatenate(smear)
-    return Tracks(name, landmarks, fan, index, stamp, of_frame, number, position, *described)
+    return Tracks(name, landmarks, fan, index, stamp, of_frame, number, position, joined(of_frames))
 
 
 def _distances(
@@ -131,6 +146,4 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, position: FloatArra
         labels[here][closer], nearest[here][closer] = what, distance[closer]
     labels[nearest > ON] = ids
     taught = (nearest <= ON) | (nearest > OFF)
-    return Samples(
-        tracks.features[taught], tracks.smear[taught], labels[taught], tracks.number[taught]
-    )
+    return Samples(rows_of(tracks.pictures, taught), labels[taught], tracks.number[taught])

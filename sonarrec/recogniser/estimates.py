@@ -106,6 +106,7 @@ class Estimates:
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
         orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.enough_evidence
+        read = [""] * len(positions) if beliefs.lit is None else _digits(beliefs.lit, left_deg)
         corners: Sequence[FloatArray | None] = [None] * len(positions)
         if beliefs.corners is not None:
             corners = [None if np.isnan(of_one).any() else of_one for of_one in beliefs.corners]
@@ -130,7 +131,22 @@ class Estimates:
                 episode=int(episodes[i]),
                 in_view=bool(objects.in_view[i]),
                 enough_evidence=bool(beliefs.enough_evidence[i]),
+                read=read[i],
                 corners=corners[i],
             )
             for i in range(len(positions))
         ]
+
+
+def _digits(lit: FloatArray, left_deg: FloatArray) -> list[str]:
+    """What was read as text, of n objects: see Estimate.
+
+    lit: (n, ANGLES) as in Beliefs. left_deg: (n,) how far the matrix is rotated from the line of
+    sight, less than a step.
+    """
+    share = left_deg[:, None] / STEP_DEG
+    neighbour = np.where(share > 0, np.roll(lit, -1, axis=1), np.roll(lit, 1, axis=1))
+    tenths = np.round((1 - np.abs(share)) * lit + np.abs(share) * neighbour, 6) * 10
+    known = ~np.isnan(tenths[:, 0])
+    digits = np.minimum(np.where(known[:, None], tenths, 0), 9).astype(np.uint8) + ord("0")
+    return [row.tobytes().decode() if k else "" for row, k in zip(digits, known, strict=True)]

@@ -25,9 +25,10 @@ from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, shape_matrix
-from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Classifier
-from sonarrec.recogniser.stage3.model import built_in_model
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Reads
+from sonarrec.recogniser.stage3.model_file import built_in_weights
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
+from sonarrec.recogniser.stage3.reader import Reader
 from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.records import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
 
@@ -158,12 +159,12 @@ class DiscStages(ThreeStages):
         config: Config,
         fan: Fan,
         landmarks: LandmarkSet,
-        model: Classifier | None = None,
+        read: Reads | None = None,
         method: str = FRAMEWORK,
         smi: str | None = SMI,
         poses: PoseTable | None = None,
     ) -> None:
-        """fan: the geometry of all frames of the log. model: by default the built-in one.
+        """fan: the geometry of all frames of the log. read: by default the built-in reader.
 
         method: name of the framework in the estimates. smi: name of the single-frame method; None
         if it is not to run. poses: of the sonar; where they give its motion, that is not measured
@@ -189,7 +190,7 @@ class DiscStages(ThreeStages):
                 plane,
                 self._sample,
                 landmarks,
-                model or built_in_model(),
+                read or Reader(built_in_weights(), codes),
                 beam_width_deg,
                 config.continuity.remember_frames,
             )

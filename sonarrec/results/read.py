@@ -253,6 +253,8 @@ def estimate_tables(
     Raises SonarrecError, with the line, for an invalid cell.
     """
     columns = estimate_columns(landmarks.ids, isinstance(landmarks, DrawnSet))
+    if rows is None:  # a text in every row, which only pictures show: too large to hold
+        columns = tuple(c for c in columns if c.name != "read")
     ids = np.asarray(landmarks.ids)
     header = needed(columns), ESTIMATES_HEADER
     for first, table in read_tables(path, kinds(columns), *header, rows):
@@ -357,6 +359,7 @@ def _estimates_in(
         in_table = np.column_stack([table[name] for name in columns])
         complete = np.isfinite(in_table).all(axis=1)
         beliefs[complete] = in_table[complete]
+    symbols = [text if isinstance(text, str) else "" for text in table.get("read", blank)]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     of_estimates = {
         **positions(table, fan),
@@ -373,6 +376,7 @@ def _estimates_in(
             method=str(methods[n]),
             probabilities=beliefs[n],
             corners=None if np.isnan(corners[n]).any() else corners[n],
+            read=symbols[n],
             **{name: values[k] for name, values in numbers.items()},
         )
         yield n, int(table["frame"][n]), estimate

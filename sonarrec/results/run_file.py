@@ -323,7 +323,7 @@ class RunFile:
     input: Input
     configs: tuple[Mapping[str, Any], ...]  # the settings, of each preset
     odometry: Mapping[str, Any]  # empty: none was used
-    model: Mapping[str, Any] | None  # the appearance model; None: built in
+    model: Mapping[str, Any] | None  # of `sonarrec calibrate`; None: the built-in reader
 
     def landmark_set(self, choice: str | Path | None = None) -> LandmarkSet:
         """The set that the user chose by name or file, else the run's, else `basin`."""

@@ -9,7 +9,7 @@ from typing import Literal
 
 from sonarrec.config import Config
 from sonarrec.errors import SonarrecError, as_usage, is_url, number_of, redact_url
-from sonarrec.recogniser.stage3.model import model_from_table, read_model
+from sonarrec.recogniser.stage3.model_file import model_from_table, read_model
 from sonarrec.records import FrameResult
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.sightings import Sighting
@@ -26,7 +26,7 @@ class RunOptions:
 
     configs: Sequence[Config]  # several: side by side, each under its own method name
     landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
-    model: Path | None = None  # of appearance; default: the earlier run's, else the built-in one
+    model: Path | None = None  # of calibrate; default: the earlier run's, else the built-in one
     earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
     # none are given; a plain file of settings has none of these
 

@@ -20,7 +20,7 @@ from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log, 
 from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
-from sonarrec.recogniser.stage3.model import ModelFile, model_from_table, read_model
+from sonarrec.recogniser.stage3.model_file import ModelFile, model_from_table, read_model
 from sonarrec.records import Fan, Frame
 from sonarrec.results.folders import OURS
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
@@ -75,7 +75,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
             raise UsageError(f"{Path(job.path)}: {none}")
         configs, about_beams = with_beams(options.configs, log.beam_width_deg, first)
         recogniser = SideBySide(
-            configs, first.fan, landmarks, None if model is None else model.model, poses
+            configs, first.fan, landmarks, None if model is None else model.weights, poses
         )
         log.diagnostics.note(*about_beams)
         if poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
@@ -171,7 +171,7 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
 
 
 def _model(options: RunOptions, earlier: RunFile, landmarks: LandmarkSet) -> ModelFile | None:
-    """The appearance model of the file, else of the earlier run; None for the built-in one."""
+    """The model of the file, else of the earlier run; None for the built-in one."""
     if options.model is not None:
         model = read_model(options.model)
         if all(c.features.measurement == "single" for c in options.configs):

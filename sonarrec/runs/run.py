@@ -20,7 +20,7 @@ from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
-from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.recogniser.stage3.model_file import read_model
 from sonarrec.records import Clock, Fan, Frame, FrameResult
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
@@ -73,7 +73,7 @@ class Recogniser:
         self.landmarks = (
             landmarks if isinstance(landmarks, LandmarkSet) else load_landmarks(landmarks)
         )
-        self._model = None if model is None else read_model(Path(model)).model
+        self._model = None if model is None else read_model(Path(model)).weights
 
     def recognise(self, frames: Iterable[Frame] | None = None) -> Iterator[FrameResult]:
         """Recognise the landmarks in frames, in their order.

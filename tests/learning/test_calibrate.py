@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sonarrec.landmarks import BUILT_IN, load_landmarks
-from sonarrec.recogniser.stage3.model import built_in_model
+from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.command import sonarrec
@@ -107,8 +107,8 @@ HEAD = "frame,landmark,range_m,bearing_deg"
         (f"{HEAD}\n500,1,2,0\n", (), 1, "truth of another log?"),
         (f"log,{HEAD}\nother,1,1,2,0\n", (), 1, "names none of pan"),
         ("frame,landmark\n1,1\n", (), 1, "needs positions"),
-        (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "is learned for discs"),
-        (f"{HEAD}\n1,1,2,0\n", ("--landmarks", "actag24h10"), 2, "is learned for discs"),
+        (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "is adapted for discs"),
+        (f"{HEAD}\n1,1,2,0\n", ("--landmarks", "actag24h10"), 2, "is adapted for discs"),
         (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
         (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
         (f"{HEAD}\n1,none,2,0\n", (), 1, "no landmark in all"),
@@ -210,7 +210,7 @@ def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
 
 
 def test_a_model_without_use_is_refused(tmp_path):
-    model = labelled(tmp_path / "model.toml", built_in_model().as_toml())
+    model = labelled(tmp_path / "model.toml", as_toml(built_in_weights()))
     arguments = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")
     fault = sonarrec(*arguments, "--model", model, code=2).stderr
     assert "--model" in fault

@@ -90,7 +90,8 @@ def test_the_longest_mistakes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     where no track is declared."""
     monkeypatch.chdir(tmp_path)
     truth = make_camp(tmp_path / "camp", 1, 14, trouble=False) / "dive01" / "gt.csv"
-    sonarrec("run", "camp/dive01", "-q")
+    # At 0.85 a blank disc is taken for ID.1 in one frame.
+    sonarrec("run", "camp/dive01", "-q", "--set", "features.declare=0.9")
     nothing = sonarrec("overlay", "camp/dive01", "-o", "wrong", "--mistakes", "9").stdout
     assert nothing.startswith("framework: no mistake but in the first frame")
     lines = truth.read_text().splitlines()

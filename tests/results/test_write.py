@@ -65,7 +65,7 @@ def test_headers_are_the_contract_s(tmp_path):
     with ResultsWriter(tmp_path / "log_a", BASIN, tables()) as writer:
         writer.finish([])
     header = (tmp_path / "log_a/estimates.csv").read_text().splitlines()
-    assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg"]
+    assert header == [CONTRACT + ",range_sigma_m,bearing_sigma_deg,orientation_sigma_deg,read"]
     assert (tmp_path / "log_a/frames.csv").read_bytes() == (
         b"frame,timestamp_ns,candidates,tracks,log_time_ns,publish_time_ns,header_stamp_ns,"
         b"dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg,stretch\n"

@@ -15,15 +15,13 @@ from hypothesis import strategies as st
 from sonarrec.config import Config, configs, with_assignments
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.stage3.description import FEATURES
-from sonarrec.recogniser.stage3.model import read_model
+from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights, read_model
 from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar import load_sonar
 from sonarrec.tables import toml
 
-CURVE = "{ at = [0, 1], log_odds = [0, 1], smeared_log_odds = [0, 1] }"
-LINES = ["smeared_bias = 0\n", *(f"{name} = {CURVE}\n" for name in FEATURES)]
+MODEL = as_toml(built_in_weights())
 SET = 'name = "x"\nradius_m = 1\nring = [0.5, 1]\nsymbol = [0, 0.5]\n'
 
 TABLES = ("input", "sonar", "fan", "landmarks", "odometry", "model")
@@ -35,14 +33,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "seed": (lambda path: configs(path=path), "", "seed"),
     "sonar": (load_sonar, "[sonar]\n", "sonar.tilt_deg"),
     "sonar's list": (load_sonar, "[sonar]\n", "sonar.bearings_deg"),
-    "model": (read_model, "".join(LINES), "bias"),
-    "model's curve": (
-        read_model,
-        "bias = 0\n"
-        + "".join(LINES[:-1])
-        + f"[{FEATURES[-1]}]\nlog_odds = [0, 1]\nsmeared_log_odds = [0, 1]\n",
-        "at",
-    ),
+    "model": (read_model, MODEL[: MODEL.index("scale")], "scale"),
     "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),
     "landmark": (load_landmarks, SET + "[[landmark]]\nsectors = [1, 0]\n", "id"),
     "scene": (load_scene, "", "frames"),

@@ -16,7 +16,8 @@ from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.ring_sizes import RingSizes
-from sonarrec.recogniser.stage3.appearance import Classifier
+from sonarrec.recogniser.stage3.reader import Reader, Weights
+from sonarrec.recogniser.stage3.shape_matrix import rotated_codes
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
 from sonarrec.records import Fan, Frame, FrameResult
 
@@ -85,7 +86,7 @@ class SideBySide:
         configs: Sequence[Config],
         fan: Fan,
         landmarks: LandmarkSet,
-        model: Classifier | None = None,
+        model: Weights | None = None,
         poses: PoseTable | None = None,
     ) -> None:
         self.methods: list[str] = []
@@ -208,19 +209,22 @@ def stages_of(
     config: Config,
     fan: Fan,
     landmarks: LandmarkSet,
-    model: Classifier | None,
+    model: Weights | None,
     *,
     method: str,
     smi: str | None,
     poses: PoseTable | None,
 ) -> ThreeStages:
-    """The three stages for the set's kind of landmark. The arguments are those of DiscStages."""
+    """The three stages for the set's kind of landmark. model: of the
+    reader, by default the built-in one. The other arguments are those of DiscStages.
+    """
     if isinstance(landmarks, DrawnSet):  # plates have no single-frame method
         # Imported where it is needed: most sets are of discs, and it takes a while.
         from sonarrec.recogniser.drawn.three_stages import PlateStages
 
         return PlateStages(config, fan, landmarks, method=method, poses=poses)
-    return DiscStages(config, fan, landmarks, model, method=method, smi=smi, poses=poses)
+    read = None if model is None else Reader(model, rotated_codes(landmarks))
+    return DiscStages(config, fan, landmarks, read, method=method, smi=smi, poses=poses)
 
 
 def _until_broken(frames: Iterable[Frame], broken: list[BaseException]) -> Iterator[Frame]:

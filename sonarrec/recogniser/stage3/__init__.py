@@ -2,7 +2,7 @@
 
 Two measurements turn shape matrices into beliefs. The published one (published.py) identifies
 single frames and applies Tables 2 and 3 and Eq. 5 to 8. The default (appearance.py) averages the
-matrix along the track, describes it by features, and judges these by a model.
+matrix along the track, and a network reads its symbol (reader.py).
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ class Beliefs:
     corners: FloatArray | None = None
     """(n, 4, 2) slant range (m) and bearing (deg) of a drawn plate's corners, those of the far edge
     first; NaN where it is not seen."""
+    lit: FloatArray | None = None
+    """(n, ANGLES) probability that the symbol is lit in each direction from the line of sight on,
+    counter-clockwise; NaN where nothing was read."""
 
 
 @dataclass(frozen=True, slots=True)

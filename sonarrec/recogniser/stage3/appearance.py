@@ -1,10 +1,9 @@
-"""The default measurement: the appearance of a disc's shape matrix, averaged along its track.
+"""The default measurement: the symbol read off a disc's shape matrix, averaged along its track.
 
 The paper measures each frame by itself. It normalises the similarities, so that they cannot say
 that a disc is no landmark. Here the grey shape matrix is averaged in the object's own frame
-(track_matrix.py), described under every ID (description.py), and judged by a model of landmarks
-(model.py). The beliefs of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to
-8.
+(track_matrix.py), and a small network reads its symbol, whatever that is (reader.py). The beliefs
+of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to 8.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray, joined
+from sonarrec.arrays import BoolArray, FloatArray, joined
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, Evidence, likeliest
-from sonarrec.recogniser.stage3.description import Describer, Description
 from sonarrec.recogniser.stage3.opinions import TrackBelief
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
+from sonarrec.recogniser.stage3.reader import Pictures, Reading, sigmoid
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from sonarrec.records import Groups
 
@@ -31,23 +30,17 @@ LEAST_FRAMES, FEW_BEAMS, FRAMES_OF_FEW_BEAMS = 2, 5, 8
 # Most new tracks arise by chance and end soon. So a track is judged from its LEAST_FRAMES-th frame
 # on, if its object exists with at least the probability LEAST_EXISTENCE.
 LEAST_EXISTENCE = 0.5
-# Hidden arcs are looked for and left out only if an ID has at least this probability.
-LIKELY = 0.4
 HALF_POWER = 2 * (2 * np.log(2)) ** 0.5  # width of a Gaussian at half power, in its sigmas
 
 
-class Classifier(Protocol):
-    """Judges discs by their features."""
+class Reads(Protocol):
+    """Reads symbols off pictures: a Reader, or what keeps the pictures to learn from."""
 
     every_frame: ClassVar[bool]
-    """True while samples are gathered: every track is judged in every frame, and hidden arcs are
-    not left out."""
+    """True while samples are gathered: every track is read in every frame."""
 
-    def probabilities(self, features: FloatArray, smear: FloatArray) -> FloatArray:
-        """(n, K + 1): every ID, then 'none of these'; rows sum to 1.
-
-        features: (n, K, F). smear: (n,) the beam's sigma across the line of sight, in disc radii.
-        """
+    def __call__(self, pictures: Pictures, /) -> Reading:
+        """What is read off n pictures."""
         ...
 
 
@@ -60,17 +53,14 @@ class AppearanceMeasurement:
         plane: Plane,
         sampler: ShapeSampler,
         landmarks: LandmarkSet,
-        model: Classifier,
+        read: Reads,
         beam_width_deg: float,
         remember_frames: int,
     ) -> None:
         """remember_frames: as in TrackBelief."""
         self._plane = plane
         self._matrix = TrackMatrix(config.memory_frames, len(sampler.radii))
-        self._describe = Describer(
-            sampler.bands, sampler.radii, landmarks, correlation_length=config.alike_radii
-        )
-        self._model = model
+        self._read = read
         self._ids = len(landmarks.ids)
         self._belief = TrackBelief(len(landmarks.ids), remember_frames)
         self._beam_sigma = np.radians(beam_width_deg / HALF_POWER)
@@ -87,15 +77,18 @@ class AppearanceMeasurement:
         # Judge the tracks that are likely to be objects; of the others nothing is known.
         likely = evidence.frames >= LEAST_FRAMES
         likely &= tracked.existence >= LEAST_EXISTENCE
-        due = np.flatnonzero(likely | self._model.every_frame)
-        description = self._describe(
-            evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+        due = np.flatnonzero(likely | self._read.every_frame)
+        reading = self._read(
+            Pictures(
+                evidence.brightness[due], evidence.count[due], tracked.existence[due], smear[due]
+            )
         )
         n, ids = len(smear), self._ids
         of_frames = np.full((n, ids + 1), 1 / (ids + 1))
         rotation, rotation_sigma = np.zeros((n, ids)), np.full((n, ids), np.nan)
-        of_frames[due] = self._probabilities(description, evidence, tracked.existence, smear, due)
-        rotation[due], rotation_sigma[due] = description.rotation, description.rotation_sigma
+        lit = np.full((n, ANGLES), np.nan)
+        of_frames[due], lit[due] = reading.probabilities, sigmoid(reading.lit)
+        rotation[due], rotation_sigma[due] = reading.rotation, reading.rotation_sigma
         probabilities = self._belief(groups, evidence, of_frames)
         best, _ = likeliest(probabilities)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
@@ -107,39 +100,8 @@ class AppearanceMeasurement:
             rotation[np.arange(n), best],
             rotation_sigma[np.arange(n), best],
             enough_evidence,
+            lit=lit,
         )
-
-    def _probabilities(
-        self,
-        description: Description,
-        evidence: Evidence,
-        existence: FloatArray,
-        smear: FloatArray,
-        indices: IndexArray,
-    ) -> FloatArray:
-        """(m, K + 1) by the model, of the m objects at these indices; description: of these.
-
-        What lies under silt is not dark: an ID keeps the smaller of its probabilities with and
-        without the arcs where no ring shows.
-        """
-        probabilities = self._model.probabilities(description.features, smear[indices])
-        if self._model.every_frame:
-            return probabilities
-        likely = np.flatnonzero(probabilities[:, :-1].max(axis=1, initial=0) >= LIKELY)
-        if not len(likely):
-            return probabilities
-        row = indices[likely]
-        hidden = self._describe.hidden(evidence.brightness[row], evidence.count[row])
-        some = hidden.any(axis=1)
-        if some.any():
-            likely, row, hidden = likely[some], row[some], hidden[some]
-            shown = evidence.count[row] * ~hidden[:, None]
-            parts = self._describe(evidence.brightness[row], shown, existence[row], smear[row])
-            least = self._model.probabilities(parts.features, smear[row])
-            np.minimum(least, probabilities[likely], out=least)
-            least[:, -1] = 1 - least[:, :-1].sum(axis=1)
-            probabilities[likely] = least
-        return probabilities
 
     def _smear(self, positions: FloatArray) -> FloatArray:
         """(n,) the beam's standard deviation across the line of sight, in disc radii.

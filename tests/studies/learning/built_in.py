@@ -1,157 +1,53 @@
-"""The built-in appearance model, learned from simulated recordings.
+"""The built-in reader of stage 3, learned from nothing: `make model` makes it again.
 
-`make model` (`python -m tests.studies.learning.built_in`) makes it again.
-
-A picture is described under two opinions on noise, which agree in the simulator's worlds more than
-elsewhere. Curves learned on both together rely on whichever the simulator favours. So each opinion
-has curves of its own, and the log odds of sharp pictures are a weighted sum of the two, which is
-again one sum of curves. Its weights are learned on kinds of scene that neither was learned from.
-Smeared pictures have the first opinion alone: wide beams do correlate neighbouring cells.
+Half of what it learns from are tracks of simulated recordings, as stages 1 and 2 give them; the
+other half are pictures drawn at random (random_pictures.py), which differ more than those of any
+simulator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.optimize import minimize
 
-from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
-from sonarrec.learning.fit import fit
-from sonarrec.learning.samples import Samples, describe, label
-from sonarrec.recogniser.stage3.description import FEATURES
-from sonarrec.recogniser.stage3.model import BUILT_IN, AppearanceModel, smeared_share
+from sonarrec.learning.samples import describe, label
+from sonarrec.recogniser.stage3.model_file import BUILT_IN, save_weights
+from sonarrec.recogniser.stage3.reader import THETA
 from sonarrec.records import Frame
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from sonarrec.simulation.truth import Truth
+from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples, joined_examples
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
-from tests.studies.learning.random_scenes import (
-    ALL_KINDS,
-    KINDS_OF_SCENE,
-    STRETCH_KINDS,
-    random_scene,
-)
+from tests.studies.learning.random_pictures import draw
+from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from tests.support.simulated import in_processes
 
 FRAMES = 64  # of each recording: more recordings teach more than longer ones
-EVERY = 3  # so many frames apart are those that teach: neighbours are much the same
-# Seeds of the built-in model. Those from 2000 on are for choosing settings (tuning seeds), those
+EVERY = 4  # so many frames apart are those that teach: neighbours are much the same
+# Seeds of the built-in reader. Those from 2000 on are for choosing settings (tuning seeds), those
 # from 3000 on for figures that are reported: no recording serves two purposes.
-MODEL_SEEDS = range(1000, 1060)
+MODEL_SEEDS = range(1000, 1100)
 # How many recordings of each kind. Kinds beyond the basin, and those whose discs are few beams
 # wide, have more: they differ more from one recording to the next.
 RECORDINGS = {
-    **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 24),
-    **dict.fromkeys(LEARNED_WORLDS, 60),
-    "tiny_discs": 60,
+    **dict.fromkeys(KINDS_OF_SCENE + STRETCH_KINDS, 34),
+    **dict.fromkeys(LEARNED_WORLDS, 84),
+    "tiny_discs": 84,
     # These change only the geometry or the floor, so they are near the basin's.
-    **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 12),
+    **dict.fromkeys(("leaning", "ripples", "fish", "vehicle"), 16),
 }
-
-SECOND = tuple(name for name in FEATURES if name.startswith("independent_"))
-FIRST = tuple(name.removeprefix("independent_") for name in SECOND)
-"""Features of the fits under correlated and under independent noise; all others serve both."""
-FOLDS = 3
-LEAST_LIKELY = 0.01  # a probability that is lower costs no more: else few samples decide
-Recordings = Sequence[tuple[str, Samples]]
-"""Samples with the kind of scene that they are from."""
+DRAWN, AT_ONCE = 60_000, 2_000  # pictures, and those of one seed
+DISCS = 0.4  # the share of discs among the tracks that teach
+ALIKE_FRAMES = 6  # the frames of one track count as at most so many
+SEED = 1  # of the network
 
 
-def folds(kinds: Iterable[str], count: int = FOLDS) -> list[list[str]]:
-    """The kinds that are left out together, every kind once."""
-    shuffled = np.random.default_rng(5).permutation(sorted(set(kinds))).tolist()
-    return [shuffled[i::count] for i in range(count)]
-
-
-def opinions(recordings: Sequence[Samples], names: Sequence[str]) -> list[AppearanceModel]:
-    """The curves learned under each opinion on noise. names: of the samples' features."""
-    return [
-        fit([replace(s, features=s.features[..., _columns(names, other)]) for s in recordings])
-        for other in (SECOND, FIRST)
-    ]
-
-
-def _columns(names: Sequence[str], without: Sequence[str]) -> list[int]:
-    return [i for i, name in enumerate(names) if name not in without]
-
-
-def both_log_odds(
-    models: Sequence[AppearanceModel], samples: Samples, names: Sequence[str]
-) -> FloatArray:
-    """(2, n, K) log odds by each opinion; models: from `opinions`."""
-    return np.stack(
-        [
-            model.log_odds(samples.features[..., _columns(names, other)], samples.smear)
-            for model, other in zip(models, (SECOND, FIRST), strict=True)
-        ]
-    )
-
-
-def weights_of(left_out: Sequence[tuple[str, FloatArray, Samples]]) -> FloatArray:
-    """(3,) weights of the two opinions and the bias, of least log loss over kinds left out.
-
-    left_out: kind of each recording, (2, n, K) log odds from other kinds, and its samples, of which
-    the sharp ones count. Every kind counts as much as any other, every recording as much as any of
-    its kind.
-    """
-    sharp = [
-        (kind, odds[:, clear], s.label[clear])
-        for kind, odds, s in left_out
-        if (clear := smeared_share(s.smear) < 0.5).any()
-    ]
-    kinds = [kind for kind, _, _ in sharp]
-
-    def loss(weights: FloatArray) -> float:
-        total = 0.0
-        for kind, odds, truth in sharp:
-            logits = np.pad(np.tensordot(weights[:2], odds, 1) + weights[2], ((0, 0), (0, 1)))
-            likely = np.exp(logits - logits.max(axis=1, keepdims=True))
-            true = likely[np.arange(len(truth)), truth] / likely.sum(axis=1)
-            total -= float(np.log(np.maximum(true, LEAST_LIKELY)).mean()) / kinds.count(kind)
-        return total
-
-    found = minimize(loss, [0.5, 0.5, 0.2], method="Nelder-Mead").x
-    return np.asarray(found.round(2))
-
-
-def learn(
-    recordings: Recordings, names: Sequence[str] = FEATURES
-) -> tuple[AppearanceModel, FloatArray]:
-    """The model of both opinions over the features of these names, and its weights."""
-    left_out: list[tuple[str, FloatArray, Samples]] = []
-    for fold in folds(ALL_KINDS):
-        models = opinions([s for kind, s in recordings if kind not in fold], names)
-        left_out += [
-            (kind, both_log_odds(models, s, names), s) for kind, s in recordings if kind in fold
-        ]
-    weights = weights_of(left_out)
-    return joined_model(opinions([s for _, s in recordings], names), weights, names), weights
-
-
-def joined_model(
-    models: Sequence[AppearanceModel], weights: FloatArray, names: Sequence[str]
-) -> AppearanceModel:
-    """The weighted sum of the opinions' curves. models: from `opinions`; weights: `weights_of`."""
-    # Sharp, smeared.
-    of_each = np.array([[weights[0], 1.0], [weights[1], 0.0]])
-    bias = of_each[0] * models[0].bias + of_each[1] * models[1].bias + [weights[2], 0.0]
-    curves: dict[str, tuple[FloatArray, FloatArray]] = {}
-    for model, weight, other in zip(models, of_each, (SECOND, FIRST), strict=True):
-        of_model = [name for name in names if name not in other]
-        for name, knots, values in zip(of_model, model.knots, model.values, strict=True):
-            # The same samples: a feature of both has the same knots in each.
-            before = curves[name][1] if name in curves else 0.0
-            curves[name] = knots, before + weight[:, None] * values
-    knots, values = zip(*(curves[name] for name in names), strict=True)
-    return AppearanceModel(bias, knots, values)
-
-
-def samples_of(recording: tuple[str, int], every: int = EVERY) -> Samples:
-    """Samples from a random recording of a kind and seed. every: so many frames apart."""
+def examples_of(recording: tuple[str, int]) -> Examples:
+    """The tracks of a random recording of a kind and seed, every EVERY-th frame of each."""
     kind, seed = recording
     truth: list[tuple[int, Truth]] = []
     scene = random_scene(seed, kind, wide=True, frames=FRAMES)
@@ -164,43 +60,52 @@ def samples_of(recording: tuple[str, int], every: int = EVERY) -> Samples:
                 polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
             yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
 
-    tracks = describe(frames(), preset("default"), scene.landmark_set)
-    chosen = np.flatnonzero(tracks.row % every == 0)
-    columns = ("row", "number", "position", "features", "smear")
-    tracks = replace(tracks, **{name: getattr(tracks, name)[chosen] for name in columns})
+    tracks = describe(frames(), preset("default"), scene.landmark_set, every=EVERY)
     polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
-    return label(
+    found = label(
         tracks,
         np.array([row for row, _ in truth], np.int64),
         np.array([tracks.landmarks.ids.index(t.landmark) for _, t in truth], np.int64),
         plane_from_polar(*polar.T),
     )
-
-
-def make_model() -> None:
-    """Learn and write the built-in model, from every kind of scene that may be learned from."""
-    recordings = [(kind, seed) for kind, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]]
-    parts = in_processes(samples_of, recordings)
-    write_model([(kind, s) for (kind, _), s in zip(recordings, parts, strict=True)])
-
-
-def write_model(recordings: Recordings) -> None:
-    """Learn the model from these and write it."""
-    model, (first, second, bias) = learn(recordings)
-    count = sum(len(s.label) for _, s in recordings)
-    head = (
-        "# Log odds of an ID against 'none of these' = bias + the curves of all features, which\n"
-        "# description.py names: of sharp pictures and, as smeared_, of smeared ones.\n"
-        "# Between the two their weighted mean (model.py).\n"
-        f"# Made by `make model`: {len(recordings)} simulated recordings of {FRAMES} frames, from\n"
-        f"# seed {MODEL_SEEDS.start} on, of {len(RECORDINGS)} kinds of scene; {count} tracks in "
-        f"every {EVERY}rd frame.\n"
-        f"# Of sharp pictures the curves under correlated noise count {first:.2f}, those under\n"
-        f"# independent noise {second:.2f}, as is best on kinds left out; the bias has\n"
-        f"# {bias:.2f} more.\n"
+    n, ids = len(found.label), len(scene.landmark_set.ids)
+    codes = np.zeros((n, MOST_IDS, len(THETA)), np.uint8)
+    codes[:, :ids] = scene.landmark_set.codes(THETA)
+    _, of_track, frames_of = np.unique(found.track, return_inverse=True, return_counts=True)
+    return Examples(
+        found.pictures.brightness.astype(np.float16),
+        found.pictures.count.astype(np.float16),
+        found.pictures.existence.astype(np.float32),
+        found.pictures.smear.astype(np.float32),
+        codes,
+        np.full(n, ids),
+        np.where(found.label == ids, MOST_IDS, found.label),
+        np.full((n, len(THETA)), UNKNOWN, np.int8),
+        np.minimum(1, ALIKE_FRAMES / frames_of[of_track]),
     )
-    BUILT_IN.write_text(head + model.as_toml(), encoding="utf-8", newline="")
+
+
+def drawn_examples(seed: int) -> Examples:
+    """AT_ONCE pictures drawn at random."""
+    rng = np.random.default_rng(seed)
+    return joined_examples([draw(rng) for _ in range(AT_ONCE)])
+
+
+def balanced(tracks: Examples) -> Examples:
+    """The tracks, with the weights of discs raised so that their share is DISCS."""
+    discs, weight = tracks.label < MOST_IDS, tracks.weight
+    factor = DISCS / (1 - DISCS) * weight[~discs].sum() / weight[discs].sum()
+    return tracks._replace(weight=np.where(discs, weight * factor, weight))
+
+
+def make_model(recordings: Sequence[tuple[str, int]], drawn: int = DRAWN, seed: int = SEED) -> None:
+    """Learn the built-in reader and write it."""
+    from tests.studies.learning.network import learn  # jax is needed for this alone
+
+    tracks = joined_examples(in_processes(examples_of, recordings))
+    pictures = joined_examples(in_processes(drawn_examples, range(drawn // AT_ONCE)))
+    save_weights(learn(balanced(tracks), pictures, seed), BUILT_IN)
 
 
 if __name__ == "__main__":
-    make_model()
+    make_model([(k, seed) for k, n in RECORDINGS.items() for seed in MODEL_SEEDS[:n]])

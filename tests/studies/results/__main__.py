@@ -15,7 +15,7 @@ from tests.studies.results.record import digests, read, stale
 FOLDER = Path(__file__).parent
 NOW = FOLDER / "now.toml"
 PAGE = FOLDER.parent / "RESULTS.md"
-ORDER = (*("paper", "scenes", "scenes_fresh", "transfer", "worlds", "scale", "bench"),)
+ORDER = (*("paper", "scenes", "scenes_fresh", "worlds", "scale", "bench"),)
 """Files of this folder, as they follow each other on the page."""
 HEAD = """# Measured results
 

@@ -1,0 +1,192 @@
+"""The reader: a small network that reads a symbol, direction by direction, off a shape matrix.
+
+It says of each direction how likely the symbol is lit there, whether the object is a disc with a
+symbol, and whether that may be a symbol of no ID. Nothing about an ID is learned: beliefs follow
+from what is read and the codes of whatever set is used. Its layers run round the circle, so a
+rotated disc is read the same, rotated; the line of sight is an input.
+
+With an ID's code c (0 or 1), the log odds l that a direction is lit, and a scale T:
+
+    log p(ID) = D + log mean over rotations of exp(T sum over directions of (c l - log(1 + e^l)))
+    log p(none) = log(1 + exp(D + O - T sum over directions of log(1 + e^-|l|)))
+
+The second is: no disc, or a disc with the symbol that is read, whatever that is.
+
+`make model` learns the weights (tests/studies/learning); `sonarrec calibrate` adapts LAST_LAYER.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray, IndexArray
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP
+
+LAYERS = ((3, 1), (5, 1), (5, 2), (3, 4))
+"""Width and dilation of each layer, in directions."""
+AROUND = [
+    (np.arange(ANGLES)[:, None] + (np.arange(width) - width // 2) * dilation) % ANGLES
+    for width, dilation in LAYERS
+]
+"""The directions that each layer looks at, from each direction: (ANGLES, width)."""
+THETA = (np.arange(ANGLES) + 0.5) * STEP
+SIGHT = np.stack([np.cos(THETA), np.sin(THETA)], 1)
+LAST_LAYER = ("lit", "disc", "other", "scale")
+# Layers' inputs are rounded to multiples of 1 / INPUT_STEPS, weights to those of 1 / WEIGHT_STEPS.
+# Their products are then multiples of 2 ** -15, and sums below 512 are exact in single precision,
+# in whatever order a processor adds: the results are the same on all of them.
+INPUT_STEPS, WEIGHT_STEPS = 64, 512
+DECIMALS = 6  # of log beliefs, before anything is decided by them
+# A rotation is the mean over those within NEAR steps of the likeliest, weighted by their
+# likelihood. Its standard error is that of this mean, times ROTATION_SIGMA, with at least
+# LEAST_ROTATION_SIGMA steps (tuning seeds; checked by `make scenes`).
+NEAR, ROTATION_SIGMA, LEAST_ROTATION_SIGMA = 4, 1.0, 0.25
+Weights = dict[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Averaged shape matrices of n objects, as the reader takes them."""
+
+    brightness: FloatArray
+    """(n, L, ANGLES) in standard deviations of the surroundings."""
+    count: FloatArray
+    """(n, L, ANGLES) how often each cell was seen."""
+    existence: FloatArray
+    """(n,) probability of the object by stage 2."""
+    smear: FloatArray
+    """(n,) the beam's standard deviation across the line of sight, in disc radii."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is read off n pictures."""
+
+    lit: FloatArray
+    """(n, ANGLES) log odds that the symbol is lit in a direction, from the line of sight on,
+    counter-clockwise."""
+    free: FloatArray
+    """(n,) log odds of a disc with the symbol that is read, whatever that is, to no disc."""
+    log_beliefs: FloatArray
+    """(n, K + 1) not normalised: every ID, then 'none of these'."""
+    rotation: FloatArray
+    """(n, K) rotation of each ID, in steps."""
+    rotation_sigma: FloatArray
+    """(n, K) its standard error, in steps."""
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """(n, K + 1) beliefs: every ID, then 'none of these'; rows sum to 1."""
+        likely = np.exp(self.log_beliefs - self.log_beliefs.max(axis=1, keepdims=True))
+        return np.asarray(likely / likely.sum(axis=1, keepdims=True))
+
+
+class Reader:
+    """Reads the symbols of one set off averaged shape matrices."""
+
+    every_frame: ClassVar = False  # see Reads in appearance.py
+
+    def __init__(self, weights: Weights, codes: FloatArray) -> None:
+        """weights: from reader_model.py. codes: (ANGLES, K, ANGLES) from `rotated_codes`."""
+        self._weights = {name: values.astype(np.float32) for name, values in weights.items()}
+        self.scale = float(np.exp(weights["scale"][0]))
+        self._codes = codes.reshape(-1, ANGLES).T
+        self._ids = codes.shape[1]
+
+    def __call__(self, pictures: Pictures) -> Reading:
+        """Read n pictures. Objects do not affect each other."""
+        of_directions, of_object = self.layers(pictures)
+        return self.reading(of_directions, of_object)
+
+    def layers(self, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
+        """(n, ANGLES, C) and (n, H), what the last layer judges: each direction, and the object."""
+        w, h = self._weights, _steps(_inputs(pictures))
+        for i, around in enumerate(AROUND):
+            taps = np.take(h, around, axis=1).reshape(len(h) * ANGLES, around.shape[1] * h.shape[2])
+            new = taps @ w[f"conv{i}"]
+            new += w[f"conv{i}_bias"]
+            np.maximum(new, 0, out=new)
+            new = new.reshape(len(h), ANGLES, new.shape[1])
+            h = _steps(new + h if i else new)
+        existence = np.clip(pictures.existence, 1e-3, 1 - 1e-3)
+        given = [np.log(existence / (1 - existence)) / 3, pictures.smear * 5]
+        parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), np.stack(given, axis=1)]
+        of_object = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
+        return h, _steps(np.maximum(of_object, 0))
+
+    def reading(self, of_directions: FloatArray, of_object: FloatArray) -> Reading:
+        """What the last layer makes of the results of `layers`."""
+        w = self._weights
+        lit = (of_directions @ w["lit"][:-1] + w["lit"][-1]).astype(float)
+        disc, other = (
+            (of_object @ w[name][:-1] + w[name][-1]).astype(float) for name in ("disc", "other")
+        )
+        fit = self._fit(lit)
+        ids = disc[:, None] + np.logaddexp.reduce(fit, axis=1) - np.log(ANGLES)
+        free = disc + other - self.scale * np.logaddexp(0, -np.abs(lit)).sum(axis=1)
+        logs = np.concatenate([ids, np.logaddexp(0, free)[:, None]], axis=1)
+        return Reading(lit, free, np.round(logs, DECIMALS), *_rotation(fit))
+
+    def expected_codes(self, lit: FloatArray) -> FloatArray:
+        """(n, K, ANGLES) each ID's code, averaged over its rotations by their likelihood."""
+        fit = self._fit(lit)
+        likely = np.exp(fit - fit.max(axis=1, keepdims=True, initial=-np.inf))
+        likely /= likely.sum(axis=1, keepdims=True)
+        codes = self._codes.T.reshape(ANGLES, self._ids, ANGLES)
+        return np.asarray(np.einsum("nrk,rka->nka", likely, codes))
+
+    def _fit(self, lit: FloatArray) -> FloatArray:
+        """(n, ANGLES, K) log likelihood of what is read, by rotation and ID."""
+        fit = (lit @ self._codes).reshape(len(lit), ANGLES, self._ids)
+        return np.asarray(self.scale * (fit - np.logaddexp(0, lit).sum(axis=1)[:, None, None]))
+
+
+def sigmoid(x: FloatArray) -> FloatArray:
+    """The probability of log odds x."""
+    return np.asarray(0.5 * (1 + np.tanh(x / 2)))
+
+
+def _steps(values: FloatArray) -> FloatArray:
+    """The values rounded to multiples of 1 / INPUT_STEPS, in single precision."""
+    steps = np.float32(INPUT_STEPS)
+    return np.asarray(np.rint(values * steps).astype(np.float32) / steps)
+
+
+def _inputs(pictures: Pictures) -> FloatArray:
+    """(n, ANGLES, 3 L + 5): each direction's cells, by contrast and by level, and how often they
+    were seen; the direction; then what holds for the whole picture."""
+    seen = pictures.count > 0
+    level = np.where(seen, pictures.brightness, 0.0)
+    number = np.maximum(seen.sum(axis=(1, 2), keepdims=True), 1)
+    mean = level.sum(axis=(1, 2), keepdims=True) / number
+    around = np.where(seen, level - mean, 0.0)
+    spread = np.sqrt((around**2).sum(axis=(1, 2), keepdims=True) / number + 1e-3)
+    cells = [
+        np.clip(around / spread, -4, 4),
+        np.clip(level, -6, 8) / 3,
+        np.minimum(pictures.count, 8) / 8,
+    ]
+    of_picture = [np.log(spread[:, 0, 0]), mean[:, 0, 0] / 3, np.clip(pictures.smear, 0, 0.5) * 5]
+    shape = len(level), ANGLES
+    parts = [
+        np.concatenate(cells, axis=1).transpose(0, 2, 1),
+        np.broadcast_to(SIGHT, (*shape, 2)),
+        np.broadcast_to(np.stack(of_picture, axis=1)[:, None], (*shape, len(of_picture))),
+    ]
+    return np.concatenate(parts, axis=2)
+
+
+def _rotation(fit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, K) the rotation by log likelihoods (n, ANGLES, K), and its standard error, in steps."""
+    best: IndexArray = np.round(fit, DECIMALS).argmax(axis=1)[:, None]
+    off = np.arange(-NEAR, NEAR + 1)[None, :, None]
+    near = np.take_along_axis(fit, (best + off) % ANGLES, axis=1)
+    weight = np.exp(near - near.max(axis=1, keepdims=True, initial=-np.inf))
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = (weight * off).sum(axis=1)
+    variance = (weight * (off - mean[:, None]) ** 2).sum(axis=1)
+    sigma = np.hypot(ROTATION_SIGMA * np.sqrt(variance), LEAST_ROTATION_SIGMA)
+    return best[:, 0] + mean, sigma
