@@ -6,16 +6,21 @@ import json
 import math
 from collections.abc import Collection
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import Result
 
+from sonarrec.errors import Diagnostics
+from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.check import sparse
+from sonarrec.truth.check import report_fit, sparse
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
+from tests.support.drawn import make_fan
 from tests.support.rows import read_rows
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
@@ -227,7 +232,7 @@ def write_crossing(case: Path, row: str, labelled: Collection[int]) -> None:
     frames, rows, claims = "frame,timestamp_ns\n", "", ""
     for n in range(24):
         of = {"n": n, "after": n + 1, "bearing": n - 7, "turned": 7 - n, "doubled": 2 * (n - 7)}
-        of |= {"half": n - 7 if n % 2 else 7 - n, "scattered": 1.2 + 0.9 * (n * 7 % 5 // 2)}
+        of |= {"half": n - 7 if n % 2 else 7 - n, "scattered": 1.2 + 0.5 * (n * 7 % 5 // 2)}
         frames += f"{n},{n * 250_000_000}\n"
         claims += f"{n},m,2.0,{n - 7},1,0.9,1\n"
         if n in labelled:
@@ -267,7 +272,7 @@ def false_claims(case: Path) -> int:
 def test_a_frame_labelled_as_empty_counts(case: Path) -> None:
     write_crossing(case, "{n},1,2.0,{bearing},1", range(12))
     with (case / "gt.csv").open("a") as file:
-        file.write("".join(f"{n},none,,,\n" for n in range(12, 18)))
+        file.write("".join(f"{n},none,2.0,0,1\n" for n in range(12, 18)))
     run(case, "--labelled-only")
     assert false_claims(case) == 6
 
@@ -312,11 +317,19 @@ def test_rows_on_every_nth_frame_are_told(frames: list[int], is_sparse: bool) ->
     assert not told or "6 of 60 frames, from 100 to 150" in told
 
 
-def test_many_positions_outside_the_image_are_a_problem(case: Path) -> None:
-    write_crossing(case, "{n},1,2.0,{doubled},1", range(24))
-    (case / "sonar.toml").write_text(
-        "[sonar]\nrange_min_m = 1\nrange_max_m = 3\nfield_of_view_deg = 36\n"
-        "tilt_deg = 20\nmetres_per_pixel = 0.01\nheight_m = 0.5\n"
-    )
-    said = run(case, "--sonar", str(case / "sonar.toml"), code=3).stderr
-    assert "lie outside the image" in said
+@pytest.mark.parametrize(("outside", "is_problem"), [(2, False), (12, True)])
+def test_many_positions_outside_the_image_are_a_problem(
+    tmp_path: Path, outside: int, is_problem: bool
+) -> None:
+    path, fan, frame = tmp_path / "gt.csv", make_fan(), np.arange(40)
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    bearings = [fan.bearing_max_deg + 20 if n < outside else middle for n in range(40)]
+    range_m = (fan.range_min_m + fan.range_max_m) / 2
+    rows = [f"{n},1,{range_m},{bearing}" for n, bearing in enumerate(bearings)]
+    path.write_text("\n".join(["frame,landmark,range_m,bearing_deg", *rows]))
+    basin = load_landmarks("basin")
+    log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
+    table, told = read_truth(path), Diagnostics()
+    report_fit(told, table, log, match_truth(table, log))
+    (line,) = told.problems if is_problem else told.notes
+    assert f"{outside} of 40 positions lie outside" in line

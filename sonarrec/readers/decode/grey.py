@@ -278,6 +278,13 @@ def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
         levels = _of_map(levels, pictures, stated)
     if sonar.pixel_scale is not None:
         return levels
+    floating = [(f, f.pixels) for f in first if f.pixels is not None and f.pixels.dtype.kind == "f"]
+    if floating:  # what most of them hold, echoes in decibels or others, decides the scale
+        negative = [below_zero(pixels) > _MOSTLY for _, pixels in floating]
+        usual = negative.index(2 * sum(negative) > len(negative))
+        with suppress(UnusableError):
+            levels, _ = grey_of(levels, *floating[usual], stated)
+        return levels
     images: dict[np.dtype[Any], list[np.ndarray]] = {}
     for frame in first:
         if (grey := _grey_of_integers(frame, levels.colour_map)) is not None:
