@@ -34,21 +34,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2881,
+    "cli": 2888,
     "drawing": 697,
-    "evaluation": 3_728,
+    "evaluation": 3925,
     "geometry": 415,
     "learning": 556,
     "mapping": 1390,
     "overlays": 545,
-    "readers": 5927,
-    "recogniser": 6419,
+    "readers": 5990,
+    "recogniser": 6441,
     "reports": 2121,
     "results": 1868,
-    "runs": 1766,
+    "runs": 1760,
     "simulation": 2504,
     "tables": 982,
-    "truth": 1236,
+    "truth": 1270,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

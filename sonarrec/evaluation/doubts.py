@@ -9,7 +9,6 @@ but none explains the difference, the note says what was seen and gives no reaso
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
@@ -17,13 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
-from sonarrec.errors import SonarrecError, number_of
+from sonarrec.errors import number_of
 from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
 from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
-from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
-from sonarrec.results.run_file import rerun
-from sonarrec.runs.recorded import recorded_at
 from sonarrec.truth.check import FEWEST, of_another_geometry, unchecked
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
@@ -33,8 +29,10 @@ MOST_SHIFT = 500  # frames by which the truth may be early or late
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
 NEARLY_ALL = 0.8  # of rows and of claims agree under the reading that is named as the reason
 PART = 0.1  # of the rows, that were stated in another way than the others
-UNSEEN = 0.2  # of an ID's frames are claimed, between two frames with its row, and have none
+UNSEEN = 0.1  # of an ID's frames are claimed, between two frames with its row, and have none
+OTHER_IDS = 0.25  # of the rows lie on claims of other IDs; a method confuses fewer
 SAME_SCALE = 0.04  # difference from 1 that counts as none
+LEAST_SCALE = 0.1  # with less, claims hardly depend on rows
 LEAST_SPREAD = 0.05  # m or deg, of values that show a scale
 FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
 FEWEST_CLAIMS = 20  # of which a few right ones may be chance
@@ -78,8 +76,8 @@ def doubts(
     elif len(matched.truths):
         if part := _part(both, log) if matched.placed else "":
             yield f"{path}: {part} in {name}; check them"
-        if not options.labelled_only:
-            yield from _without_rows(f"{path}: its rows for {name}", log, matched, claims)
+        elif not options.labelled_only:
+            yield from _without_rows(f"{path}: its rows for {name}", matched, claims)
 
 
 class _Points(NamedTuple):
@@ -285,7 +283,9 @@ def _other_ids(both: _Sightings, ids: Sequence[int]) -> str:
     np.add.at(
         counts, (both.rows.landmark[row], both.claims.landmark[claim]), 1 * both.rows.sure[row]
     )
-    claimed, named = counts.argmax(axis=1), np.flatnonzero(counts.any(axis=1)).tolist()
+    seen = counts.any(axis=1)
+    claimed = np.where(seen, counts.argmax(axis=1), np.arange(len(ids)))
+    named = np.flatnonzero(seen).tolist()
     moved = [k for k in named if claimed[k] != k]
     meant = both.meeting(both.rows._replace(landmark=claimed[both.rows.landmark]))
     few = not moved or (len(moved) == 1 and named != moved)
@@ -301,28 +301,26 @@ def _other_scale(both: _Sightings) -> str:
     same = sure.landmark[row] == both.claims.landmark[claim]
     if same.sum() < FEWEST:
         return ""
-    stated, claimed = sure.position[row[same]], both.claims.position[claim[same]]
-    metres = "m", 0.1
-    for names, is_polar in (
-        ({"range": metres, "bearing": ("deg", 1.0)}, True),
-        ({"x": metres, "y": metres}, False),
-    ):
-        a, b, moved = (
-            np.column_stack(polar_from_plane(p)) if is_polar else p.copy()
-            for p in (stated, claimed, both.rows.position)
+    stated, claimed, moved = (
+        np.column_stack(polar_from_plane(position))
+        for position in (
+            sure.position[row[same]],
+            both.claims.position[claim[same]],
+            both.rows.position,
         )
-        words = []
-        for k, (name, (unit, least)) in enumerate(names.items()):
-            scale, offset = _line(a[:, k], b[:, k])
-            moved[:, k] = scale * moved[:, k] + offset
-            if scale != 1 or abs(offset) > least:
-                times = f" times {scale:.3g}" * (scale != 1)
-                moved_by = f" {offset:+.2g} {unit}" * (abs(offset) > least)
-                words.append(f"{name} were that stated{times}{moved_by}")
-        meant = both.rows._replace(position=plane_from_polar(*moved.T) if is_polar else moved)
-        if words and _explains(both.meeting(meant), int(both.rows.sure.sum())):
-            return "if " + " and ".join(words)
-    return ""
+    )
+    words, scales = [], []
+    for k, (name, unit, least) in enumerate((("range", "m", 0.1), ("bearing", "deg", 1.0))):
+        scale, offset = _line(stated[:, k], claimed[:, k])
+        scales.append(abs(scale))
+        moved[:, k] = scale * moved[:, k] + offset
+        if scale != 1 or abs(offset) > least:
+            times = f" times {scale:.3g}" * (scale != 1)
+            moved_by = f" {offset:+.2g} {unit}" * (abs(offset) > least)
+            words.append(f"{name} were that stated{times}{moved_by}")
+    meant = both.meeting(both.rows._replace(position=plane_from_polar(*moved.T)))
+    fits = words and min(scales) > LEAST_SCALE and _explains(meant, int(both.rows.sure.sum()))
+    return f"if {' and '.join(words)}" if fits else ""
 
 
 def _line(stated: FloatArray, claimed: FloatArray) -> tuple[float, float]:
@@ -341,6 +339,9 @@ def _line(stated: FloatArray, claimed: FloatArray) -> tuple[float, float]:
 def _part(both: _Sightings, log: LogResults) -> str:
     """How many rows, a part, would meet claims in another reading than the others, and in which."""
     rest, rows = both.rest(), int(both.rows.sure.sum())
+    on_others = int(rest.rows.sure[np.unique(rest.near(rest.rows)[0])].sum())
+    if on_others > OTHER_IDS * rows:
+        return f"{on_others} of {rows} rows lie on claims of other IDs"
     row, claim = equal_pairs(rest.rows.frame, rest.claims.frame)
     same = rest.rows.landmark[row] == rest.claims.landmark[claim]
     rivals = replace(rest, rows=rest.rows.of(np.unique(row[same])))  # without misses
@@ -393,15 +394,15 @@ def _shift(frames: int, log: LogResults) -> str:
     return text
 
 
-def _without_rows(of: str, log: LogResults, matched: Matched, claims: Table) -> Iterator[str]:
+def _without_rows(of: str, matched: Matched, claims: Table) -> Iterator[str]:
     """A line if rows are on some frames only, or a long beginning or end has none, and most of the
     other frames have claims."""
     if len(unseen := _between_rows(matched, claims)):
         labelled = len(np.unique(matched.truths["at"]))
         yield (
             f"{of} are on {labelled} of {len(matched.frame)} frames, and claims in {len(unseen)} "
-            "frames between two that have a row of the same ID count as false; label each frame, "
-            "or add --labelled-only"
+            "frames between two with a row of the same ID count as false; label these, or add "
+            "--labelled-only if they have no row at all"
         )
         return
     first, last = matched.truths["at"].min(), matched.truths["at"].max()
@@ -412,11 +413,9 @@ def _without_rows(of: str, log: LogResults, matched: Matched, claims: Table) -> 
         (frames - 1 - last, claimed > last, f"end at frame {matched.frame[last]}"),
     ):
         if length > LEAST_STRETCH * frames and found.sum() > length / 2:
-            span = f"{matched.frame[first]}:{matched.frame[last] + 1}"
             yield (
                 f"{of} {word}, and {found.sum()} of the {length} frames without one have claims, "
-                f"which count as false; {_run_of(log, span)} gives results of the labelled part "
-                "alone"
+                "which count as false; label each frame, or add --labelled-only"
             )
 
 
@@ -439,15 +438,3 @@ def _between_rows(matched: Matched, claims: Table) -> IntArray:
     unseen = claimed[same & np.append(False, lacks)[behind]]
     enough = len(unseen) > UNSEEN * (len(rows) + len(unseen))
     return np.unique(unseen % len(matched.frame)) if enough else unseen[:0]
-
-
-def _run_of(log: LogResults, span: str) -> str:
-    """The command that runs a span of the log again, into another folder."""
-    run, poses = log.run, None
-    with suppress(SonarrecError):
-        source = recorded_at(run.path.parent, run.input)
-        by_table = bool(run.odometry) and "topic" not in run.odometry
-        poses = source.companion(POSES_FILE) if by_table else None
-        if poses is not None or not by_table:
-            return rerun(source.path, run.path, "--frames", span, poses=poses)
-    return f"`sonarrec run` with --frames {span} and another --out"

@@ -154,7 +154,6 @@ def test_landmarks_are_recognised_and_a_note_tells(
         (lambda levels: levels + 100, "lower gain"),
         (lambda levels: 255 - np.clip(levels - 90, 0, 255), "reversed"),
         (lambda levels: 255.0 * (levels > 110), "masks"),
-        (lambda levels: cv2.equalizeHist(np.clip(levels, 1, 255).astype(np.uint8)), "equalised"),
     ],
 )
 def test_gain_is_blamed_only_where_it_may_be_the_cause(

@@ -36,12 +36,13 @@ class VideoFrames(RawLog):
         """Raises SonarrecError if OpenCV cannot open the file as a video."""
         super().__init__(diagnostics)
         self._path, self._name = path, opencv_name(path)
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "16")  # errors, which we report ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         with warnings_to(said := warnings_file()):
             self._video = cv2.VideoCapture(self._name)
         if not self._video.isOpened():
-            if b"moov atom not found" in written(said):
+            with path.open("rb") as file:
+                is_mp4 = file.read(8)[4:] == b"ftyp"
+            if is_mp4 and b"moov atom not found" in written(said):
                 raise SonarrecError(
                     f"{path}: its recorder did not finish it, so that the index (moov) is missing; "
                     "a tool for repair needs a whole video of the same camera"

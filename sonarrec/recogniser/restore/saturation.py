@@ -33,7 +33,6 @@ FEWEST, MOST = 0.02, 0.99  # shares are clipped to these: beyond them the lift i
 OF_GAUSSIAN = 0.6
 LEAST_SPREAD = 4.0  # grey levels
 FEW_LEVELS = 8  # in a mask
-EVEN = 0.08  # largest difference of an equalised histogram from an even one, as a share
 BRIGHT = 150.0  # mean level: sonar pictures have 60 to 120, reversed ones the rest to 255
 
 
@@ -143,14 +142,11 @@ def saturated_from(up_to: IntArray) -> int | None:
 
 def _cause(up_to: IntArray) -> str:
     """Why a saturated picture may have its highest levels so often. up_to: as above."""
-    share, levels = up_to / up_to[-1], np.arange(256)
-    if np.count_nonzero(np.diff(up_to)) < FEW_LEVELS:
+    counts = np.diff(up_to, prepend=0)
+    if np.count_nonzero(counts) < FEW_LEVELS:
         return "have few grey levels, as masks have; are they pictures of the sonar?"
-    if np.abs(share - levels / 255).max() < EVEN:
-        return "are saturated, as by an equalised histogram; export them without"
-    if levels @ np.diff(share, prepend=0) > BRIGHT:
-        return "are saturated and bright, as if reversed; if they are not, a lower gain is better"
-    return "are saturated; a lower gain is better"
+    bright = np.average(np.arange(256), weights=counts) > BRIGHT
+    return f"are saturated; a lower gain is better{', unless they are reversed' * bool(bright)}"
 
 
 def _spread(up_to: IntArray) -> float:
