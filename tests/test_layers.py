@@ -48,7 +48,7 @@ MOST_LINES = {
     "runs": 1760,
     "simulation": 2504,
     "tables": 982,
-    "truth": 1270,
+    "truth": 1269,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -132,7 +132,7 @@ def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path
         )
         if logs > 1 and "log" not in read_header(truth, HEADER):
             diagnostics.problem(
-                f"{truth}: lies beside {logs} logs and has no log column, so it may be another's "
+                f"{truth}: lies next to {logs} logs and has no log column, so it may be another's "
                 f"than that of {found.location.name}; if it is its own, call it "
                 f"{own_file(found.location, TRUTH_FILE).name}"
             )

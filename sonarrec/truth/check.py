@@ -169,12 +169,12 @@ def report_fit(
         )
 
 
-def sparse(at: IntArray, frame: IntArray) -> str:
+def sparse(index: IntArray, frame: IntArray) -> str:
     """Whether rows are on every n-th frame or so, a clause; empty: no.
 
-    at: of the rows, into frame, (F,) the numbers of the frames.
+    index: of the rows, into frame, (F,) the numbers of the frames.
     """
-    frames = np.unique(at)
+    frames = np.unique(index)
     if len(frames) < FEWEST or np.mean(np.diff(frames) == 1) > MOST_ADJACENT:
         return ""
     first, last = frame[frames[[0, -1]]]

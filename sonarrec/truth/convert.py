@@ -208,7 +208,7 @@ def _landmark_ids(
 
 
 def _other_folder(images: Sequence[_Image], log: Path) -> str:
-    """Whether most images are named as in another log's folder, beside this log's; empty: no."""
+    """Whether most images are named as in another log's folder, next to this log's; empty: no."""
     folders = Counter(Path(image.file_name.replace("\\", "/")).parent.name for image in images)
     ((name, count),) = folders.most_common(1) or [("", 0)]
     if name in ("", log.name) or not (log.parent / name).is_dir():

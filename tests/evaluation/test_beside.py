@@ -52,7 +52,7 @@ def logs(tmp_path: Path) -> Path:
 
 def test_one_truth_beside_several_logs_may_be_anothers(logs: Path) -> None:
     truth(logs / "logs" / "gt.csv", range(4))
-    assert "beside 2 logs" in command(logs / "out" / "b", code=3).stderr
+    assert "next to 2 logs" in command(logs / "out" / "b", code=3).stderr
     (logs / "logs" / "gt.csv").rename(logs / "logs" / "b.gt.csv")
     assert command(logs / "out" / "b").stderr == ""
 

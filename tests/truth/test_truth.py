@@ -211,7 +211,6 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
         ("{n},1,2.0,{doubled},1", 24, "if bearing were that stated times 0.5"),
         ("{n},1,{scattered},{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
         ("{n},{either},2.0,{bearing},1", 24, "12 of 24 rows lie on claims of other IDs"),
-        ("{n},{either},2.0,{bearing},1", 24, "12 of 24 rows lie on claims of other IDs"),
         ("{n},1,2.0,{half},1", 24, "rows would meet claims only with the sign of their bearings"),
         ("{after},1,2.0,{bearing},1", 23, "better 1 frame earlier (0.25 s)"),
         ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings reversed"),
@@ -237,7 +236,7 @@ def write_crossing(case: Path, row: str, labelled: Collection[int]) -> None:
         of |= {
             "half": n - 7 if n % 2 else 7 - n,
             "either": 1 + n % 2,
-            "either": 1 + n % 2, "scattered": 1.2 + 0.5 * (n * 7 % 5 // 2),
+            "scattered": 1.2 + 0.5 * (n * 7 % 5 // 2),
         }
         frames += f"{n},{n * 250_000_000}\n"
         claims += f"{n},m,2.0,{n - 7},1,0.9,1\n"
