@@ -51,9 +51,11 @@ Clock = Literal["log", "publish", "header"]
 """Which of the times in Stamps names a frame."""
 ColourMap = Literal[
     "luminance", "hot", "inferno", "jet", "magma", "ocean", "parula", "plasma", "rainbow", "turbo",
-    "viridis",
+    "viridis", "hot_bgr", "inferno_bgr", "jet_bgr", "magma_bgr", "ocean_bgr", "parula_bgr",
+    "plasma_bgr", "rainbow_bgr", "turbo_bgr", "viridis_bgr",
 ]  # fmt: skip
-"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others."""
+"""The colours in which a picture of the sonar was drawn; luminance: grey, or none of the others.
+In those of `_bgr` red and blue are exchanged."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,21 +34,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2883,
+    "cli": 2888,
     "drawing": 733,
-    "evaluation": 3730,
+    "evaluation": 3925,
     "geometry": 415,
     "learning": 556,
     "mapping": 1392,
     "overlays": 546,
     "readers": 6161,
-    "recogniser": 6419,
+    "recogniser": 6441,
     "reports": 2126,
     "results": 1956,
     "runs": 1766,
     "simulation": 2504,
     "tables": 1012,
-    "truth": 1236,
+    "truth": 1269,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -350,26 +350,16 @@ def test_times_in_another_unit_are_refused(here: Path, pan: Path, unit: str, ns:
         assert re.search(rf"only in {unit}\n", checked)
 
 
-def test_a_part_that_is_labelled_is_run_by_the_command_that_is_named(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`run --frames 0:64` had no log, and would have replaced the results of all frames."""
-    shutil.copytree(SAMPLE, "my pan")
-    sonarrec("run", "my pan", "-q", "-o", "all out")
+def test_a_part_that_is_labelled_is_scored_alone_as_is_advised(here: Path) -> None:
+    sonarrec("run", SAMPLE, "-q", "-o", "out")
     part = [row for row in read_rows(SAMPLES / "pan.gt.csv") if int(row["frame"]) < 64]
     truth = here / "gt.csv"
     truth.write_text("\n".join([",".join(part[0]), *(",".join(row.values()) for row in part)]))
-    results = Path("all out/my pan")
-    told = sonarrec("evaluate", results, "--ground-truth", truth, code=3).stderr
+    scored = ("evaluate", Path("out") / SAMPLE.name, "--ground-truth", truth)
+    told = sonarrec(*scored, code=3).stderr
     assert "64 frames without one have claims" in told
-    run_named(told, results)
-    (words,) = commands(told)
-    assert len(read_rows(Path(words[-1]) / "my pan" / "frames.csv")) == 64
-    sonarrec("evaluate", words[-1], "--ground-truth", truth)
-    monkeypatch.chdir(results)  # the results as "." are those of the same log
-    (again,) = commands(sonarrec("evaluate", ".", "--ground-truth", truth, code=3).stderr)
-    assert not Path(again[-1]).resolve().is_relative_to(results.resolve())
-    monkeypatch.chdir(here)
+    assert "--labelled-only" in told
+    assert "64 of 128" in sonarrec(*scored, "--labelled-only").stdout
 
 
 # --- Rings of another radius ---------------------------------------------------------------------

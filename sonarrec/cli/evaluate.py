@@ -11,7 +11,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import MOST_NOTES, PARTLY, WORSE, leave, print_notes, say
-from sonarrec.cli.groups import ANY, command, in_output
+from sonarrec.cli.groups import ANY, command, in_output, in_scoring
 from sonarrec.errors import UsageError, number_of
 
 if TYPE_CHECKING:
@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 @options.compare("What got better or worse from OLD to NEW, in place of RESULTS.")
 @options.limits
 @options.scoring
+@in_scoring(
+    "--labelled-only",
+    is_flag=True,
+    help="Score only frames that have a row of truth, of a landmark or `none`.",
+)
 @in_output(
     "-v --verbose --details details",
     is_flag=True,
@@ -47,6 +52,7 @@ def evaluate(
     compare: tuple[Path, Path] | None,
     limits: Limits,
     scoring: ScoringOptions,
+    labelled_only: bool,
     details: bool,
     as_json: bool,
     out: Path | None,
@@ -77,6 +83,7 @@ def evaluate(
             "--compare names both results, and compare.csv has all; leave out -v (--details)"
         )
     limits = replace(limits, methods=scoring.methods)
+    scoring = replace(scoring, labelled_only=labelled_only)
     from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.tables.outputs import below
 

@@ -20,7 +20,7 @@ from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
 from sonarrec.evaluation.figures import MAIN, METRICS, differences, few_units, rates, units_text
 from sonarrec.evaluation.pairs import Pair, find_truths, pair_up, read_pairs
-from sonarrec.evaluation.rows import ScoringOptions, scoring_options
+from sonarrec.evaluation.rows import ScoringOptions, labelled_frames, scoring_options
 from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
 from sonarrec.records import follows
@@ -116,6 +116,8 @@ class Comparison:
     notes: tuple[str, ...]
     unused: tuple[str, ...]
     """Input that could not be used, one line each."""
+    left_out: int | None = None
+    """Frames that are not labelled, if only labelled ones count; else None."""
 
     @property
     def logs(self) -> tuple[str, ...]:
@@ -162,8 +164,8 @@ def compare(
     pairs : str or Path, optional
         A CSV that names the truth of each log.
     **scoring
-        `method`, `min_visible`, `tolerance_s`, `within_m`, `landmarks` and `sonar` as in
-        `evaluate`.
+        `method`, `min_visible`, `tolerance_s`, `within_m`, `labelled_only`, `landmarks` and
+        `sonar` as in `evaluate`.
 
     Returns
     -------
@@ -220,7 +222,7 @@ def _compared(
 ) -> Comparison:
     """The comparison of logs, old and new. sides: their folders, for messages."""
     old, new = sides
-    _, (before, after), _ = score_logs(logs, options, "compared", diagnostics, one_truth_of)
+    scored, (before, after), _ = score_logs(logs, options, "compared", diagnostics, one_truth_of)
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
     for side, counts in ((old, before), (new, after)):
@@ -250,6 +252,7 @@ def _compared(
         gained=tuple(m for m in methods if m not in before.methods),
         notes=(*diagnostics.notes, *few_units(after)),
         unused=tuple(diagnostics.problems),
+        left_out=sum(score.left_out for score in scored) if options.labelled_only else None,
     )
 
 
@@ -457,7 +460,7 @@ def screen(found: Comparison, judged: Judgement) -> str:
         texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
         cells.append((row.log, row.method, row.protocol, *texts, row.mark))
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [judged.sentence]
+    lines = [judged.sentence, *labelled_frames(found.after.frames, found.left_out)]
     for cell in cells if rows else ():
         texts = (f"{c:{'<<<>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
         lines.append("  ".join(texts).rstrip())

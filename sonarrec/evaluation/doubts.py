@@ -8,22 +8,18 @@ but none explains the difference, the note says what was seen and gives no reaso
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
-from sonarrec.errors import SonarrecError, number_of
-from sonarrec.evaluation.rows import Matched, equal_pairs
+from sonarrec.errors import number_of
+from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
 from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
-from sonarrec.readers.poses import POSES_FILE
 from sonarrec.results.read import LogResults
-from sonarrec.results.run_file import rerun
-from sonarrec.runs.recorded import recorded_at
 from sonarrec.truth.check import FEWEST, of_another_geometry, unchecked
 from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
@@ -32,20 +28,33 @@ MOST_ROWS = 500  # are asked which reading fits; more add nothing
 MOST_SHIFT = 500  # frames by which the truth may be early or late
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
 NEARLY_ALL = 0.8  # of rows and of claims agree under the reading that is named as the reason
+PART = 0.1  # of the rows, that were stated in another way than the others
+UNSEEN = 0.1  # of an ID's frames are claimed, between two frames with its row, and have none
+OTHER_IDS = 0.25  # of the rows lie on claims of other IDs; a method confuses fewer
+SAME_SCALE = 0.04  # difference from 1 that counts as none
+LEAST_SCALE = 0.1  # with less, claims hardly depend on rows
+LEAST_SPREAD = 0.05  # m or deg, of values that show a scale
 FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
 FEWEST_CLAIMS = 20  # of which a few right ones may be chance
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
 def doubts(
-    table: TruthTable, log: LogResults, truth: Truth, matched: Matched, min_visible: float
+    table: TruthTable,
+    log: LogResults,
+    truth: Truth,
+    matched: Matched,
+    options: ScoringOptions,
 ) -> Iterator[str]:
-    """A line on each. truth, matched: of the log; its leading method is asked."""
-    path, name = table.path, log.name
+    """A line on each. truth, matched: of all frames of the log; its leading method is asked."""
+    path, name, min_visible = table.path, log.name, options.min_visible
     if proposed := unchecked(table, name):
         yield f"{proposed}; they say nothing about the results that they came from"
-    if len(truth.visible) and not truth.visible.any():
-        yield f"{path}: `visible` is 0 in all rows on {name}, so no landmark is ever in view"
+    if len(truth.visible) and (most := truth.visible.max()) < min_visible:
+        yield (
+            f"{path}: `visible` is {most:.2g} at most in all rows on {name}, and counts from "
+            f"{min_visible:g}, so that no landmark is ever in view; check positions and units"
+        )
     if other := of_another_geometry(table, table.rows_of(name), log.fan, name):
         yield f"{path}: {other}"
     claims = matched.claims
@@ -53,7 +62,7 @@ def doubts(
     both = _sightings(table, log, matched, claims, min_visible)
     if min(both.rows.sure.sum(), len(both.claims.frame)) < FEWEST:
         return
-    reason = _reason(both, log) if matched.placed else None
+    reason = _any_reason(both, log, matched.ids) if matched.placed else None
     seen = both.meeting(both.rows)
     if reason:
         yield f"{path}: its rows would fit the claims in {name} clearly better {reason}; check it"
@@ -65,7 +74,10 @@ def doubts(
             "check that this is its truth, and its positions, times and units"
         )
     elif len(matched.truths):
-        yield from _without_rows(f"{path}: its rows for {name}", log, matched, claims)
+        if part := _part(both, log) if matched.placed else "":
+            yield f"{path}: {part} in {name}; check them"
+        elif not options.labelled_only:
+            yield from _without_rows(f"{path}: its rows for {name}", matched, claims)
 
 
 class _Points(NamedTuple):
@@ -120,18 +132,32 @@ class _Sightings:
     def meeting(self, rows: _Points) -> _Meeting:
         """How these rows and the claims meet."""
         rows = rows.of(np.isin(rows.frame, self.frames))
-        claims = self.claims.of(np.isin(self.claims.frame, rows.frame))
-        row, claim = equal_pairs(rows.frame, claims.frame)
-        offset = np.linalg.norm(rows.position[row] - claims.position[claim], axis=1)
-        meet = (offset <= self.gate_m) & (rows.landmark[row] == claims.landmark[claim])
-        rows_met = np.zeros(len(rows.frame), bool)
-        rows_met[row[meet]] = True
+        rows_met, claims_met = self.met(rows)
         return _Meeting(
             rows=int(rows.sure.sum()),
             rows_met=int((rows.sure & rows_met).sum()),
-            claims=len(claims.frame),
-            claims_met=len(np.unique(claim[meet])),
+            claims=int(np.isin(self.claims.frame, rows.frame).sum()),
+            claims_met=int(claims_met.sum()),
         )
+
+    def near(self, rows: _Points) -> tuple[IntArray, IntArray]:
+        """The (row, claim) of one frame that are nearer than the gate, of whatever IDs."""
+        row, claim = equal_pairs(rows.frame, self.claims.frame)
+        offset = np.linalg.norm(rows.position[row] - self.claims.position[claim], axis=1)
+        return row[offset <= self.gate_m], claim[offset <= self.gate_m]
+
+    def met(self, rows: _Points) -> tuple[BoolArray, BoolArray]:
+        """((n,) of these rows, (m,) of the claims, whether each meets one of the other)."""
+        row, claim = self.near(rows)
+        same = rows.landmark[row] == self.claims.landmark[claim]
+        of_rows, of_claims = np.zeros(len(rows.frame), bool), np.zeros(len(self.claims.frame), bool)
+        of_rows[row[same]] = of_claims[claim[same]] = True
+        return of_rows, of_claims
+
+    def rest(self) -> _Sightings:
+        """The rows and claims of which none meets the other."""
+        rows_met, claims_met = self.met(self.rows)
+        return replace(self, rows=self.rows.of(~rows_met), claims=self.claims.of(~claims_met))
 
     def fits(self, rows: _Points, most: int) -> FloatArray:
         """(2 most + 1,) how near claims come to these rows, 0 to 1 on average, if the rows are
@@ -239,6 +265,93 @@ def _reason(both: _Sightings, log: LogResults) -> str | None:
     return "" if doubtful else None
 
 
+def _any_reason(both: _Sightings, log: LogResults, ids: Sequence[int]) -> str | None:
+    """As `_reason`, also if IDs, or a scale or an offset of positions, explain it."""
+    if other := _other_ids(both, ids):
+        return other
+    if reason := _reason(both, log):
+        return reason
+    explained = min(both.meeting(both.rows).shares) >= NEARLY_ALL
+    return ("" if explained and reason is None else _other_scale(both)) or reason
+
+
+def _other_ids(both: _Sightings, ids: Sequence[int]) -> str:
+    """Which IDs nearly all rows would need to meet claims; empty if none, or if of several IDs only
+    one is another: the method may confuse it."""
+    row, claim = both.near(both.rows)
+    counts = np.zeros((len(ids),) * 2, np.int64)  # of a row's ID and the claimed one
+    np.add.at(
+        counts, (both.rows.landmark[row], both.claims.landmark[claim]), 1 * both.rows.sure[row]
+    )
+    seen = counts.any(axis=1)
+    claimed = np.where(seen, counts.argmax(axis=1), np.arange(len(ids)))
+    named = np.flatnonzero(seen).tolist()
+    moved = [k for k in named if claimed[k] != k]
+    meant = both.meeting(both.rows._replace(landmark=claimed[both.rows.landmark]))
+    few = not moved or (len(moved) == 1 and named != moved)
+    if few or not _explains(meant, int(both.rows.sure.sum())):
+        return ""
+    return "if `landmark` " + ", ".join(f"{ids[k]} were ID.{ids[claimed[k]]}" for k in moved)
+
+
+def _other_scale(both: _Sightings) -> str:
+    """By which scales and offsets of positions nearly all rows meet claims; empty if by none."""
+    sure = both.rows.of(both.rows.sure)
+    row, claim = equal_pairs(sure.frame, both.claims.frame)
+    same = sure.landmark[row] == both.claims.landmark[claim]
+    if same.sum() < FEWEST:
+        return ""
+    stated, claimed, moved = (
+        np.column_stack(polar_from_plane(position))
+        for position in (
+            sure.position[row[same]],
+            both.claims.position[claim[same]],
+            both.rows.position,
+        )
+    )
+    words, scales = [], []
+    for k, (name, unit, least) in enumerate((("range", "m", 0.1), ("bearing", "deg", 1.0))):
+        scale, offset = _line(stated[:, k], claimed[:, k])
+        scales.append(abs(scale))
+        moved[:, k] = scale * moved[:, k] + offset
+        if scale != 1 or abs(offset) > least:
+            times = f" times {scale:.3g}" * (scale != 1)
+            moved_by = f" {offset:+.2g} {unit}" * (abs(offset) > least)
+            words.append(f"{name} were that stated{times}{moved_by}")
+    meant = both.meeting(both.rows._replace(position=plane_from_polar(*moved.T)))
+    fits = words and min(scales) > LEAST_SCALE and _explains(meant, int(both.rows.sure.sum()))
+    return f"if {' and '.join(words)}" if fits else ""
+
+
+def _line(stated: FloatArray, claimed: FloatArray) -> tuple[float, float]:
+    """(scale, offset) from (n,) stated to (n,) claimed values, by medians, since some claims do not
+    fit. The scale is 1 if the values hardly differ."""
+    order = np.argsort(stated)
+    low, high = order[: len(order) // 2], order[-(len(order) // 2) :]
+    run = stated[high] - stated[low]
+    scale = 1.0
+    if np.median(run) > LEAST_SPREAD:
+        scale = float(np.median((claimed[high] - claimed[low])[run > 0] / run[run > 0]))
+        scale = 1.0 if abs(scale - 1) <= SAME_SCALE else scale
+    return scale, float(np.median(claimed - scale * stated))
+
+
+def _part(both: _Sightings, log: LogResults) -> str:
+    """How many rows, a part, would meet claims in another reading than the others, and in which."""
+    rest, rows = both.rest(), int(both.rows.sure.sum())
+    on_others = int(rest.rows.sure[np.unique(rest.near(rest.rows)[0])].sum())
+    if on_others > OTHER_IDS * rows:
+        return f"{on_others} of {rows} rows lie on claims of other IDs"
+    row, claim = equal_pairs(rest.rows.frame, rest.claims.frame)
+    same = rest.rows.landmark[row] == rest.claims.landmark[claim]
+    rivals = replace(rest, rows=rest.rows.of(np.unique(row[same])))  # without misses
+    for words, way in _other_positions(log).items():
+        found = rivals.meeting(rivals.rows._replace(position=way(rivals.rows.position)))
+        if _explains(found, len(rivals.rows.frame)) and found.rows_met > PART * rows:
+            return f"{found.rows_met} of {rows} rows would meet claims only {words}"
+    return ""
+
+
 def _explains(found: _Meeting, rows: int) -> bool:
     """Whether nearly all rows and claims meet. rows: how many there are, also beyond the log."""
     enough = min(found.rows, found.claims) >= FEWEST and 2 * found.rows >= rows
@@ -281,8 +394,17 @@ def _shift(frames: int, log: LogResults) -> str:
     return text
 
 
-def _without_rows(of: str, log: LogResults, matched: Matched, claims: Table) -> Iterator[str]:
-    """A line if a long beginning or end has no row, but a claim in most frames."""
+def _without_rows(of: str, matched: Matched, claims: Table) -> Iterator[str]:
+    """A line if rows are on some frames only, or a long beginning or end has none, and most of the
+    other frames have claims."""
+    if len(unseen := _between_rows(matched, claims)):
+        labelled = len(np.unique(matched.truths["at"]))
+        yield (
+            f"{of} are on {labelled} of {len(matched.frame)} frames, and claims in {len(unseen)} "
+            "frames between two with a row of the same ID count as false; label these, or add "
+            "--labelled-only if they have no row at all"
+        )
+        return
     first, last = matched.truths["at"].min(), matched.truths["at"].max()
     claimed = np.unique(claims["at"])
     frames = len(matched.frame)
@@ -291,21 +413,28 @@ def _without_rows(of: str, log: LogResults, matched: Matched, claims: Table) -> 
         (frames - 1 - last, claimed > last, f"end at frame {matched.frame[last]}"),
     ):
         if length > LEAST_STRETCH * frames and found.sum() > length / 2:
-            span = f"{matched.frame[first]}:{matched.frame[last] + 1}"
             yield (
                 f"{of} {word}, and {found.sum()} of the {length} frames without one have claims, "
-                f"which count as false; {_run_of(log, span)} gives results of the labelled part "
-                "alone"
+                "which count as false; label each frame, or add --labelled-only"
             )
 
 
-def _run_of(log: LogResults, span: str) -> str:
-    """The command that runs a span of the log again, into another folder."""
-    run, poses = log.run, None
-    with suppress(SonarrecError):
-        source = recorded_at(run.path.parent, run.input)
-        by_table = bool(run.odometry) and "topic" not in run.odometry
-        poses = source.companion(POSES_FILE) if by_table else None
-        if poses is not None or not by_table:
-            return rerun(source.path, run.path, "--frames", span, poses=poses)
-    return f"`sonarrec run` with --frames {span} and another --out"
+def _between_rows(matched: Matched, claims: Table) -> IntArray:
+    """The frames, by index, that seem to lack a row: of an ID with rows before and behind, and most
+    frames between claimed. Empty if these are few."""
+    ids = len(matched.ids)
+    rows, claimed = (np.unique(of["cell"]) for of in (matched.truths, claims))
+    # One ID after the other, by frame.
+    rows, claimed = (
+        np.sort(cell % ids * len(matched.frame) + cell // ids) for cell in (rows, claimed)
+    )
+    claimed = np.setdiff1d(claimed, rows)
+    behind = np.searchsorted(rows, claimed)
+    inner = (behind > 0) & (behind < len(rows))
+    behind, claimed = behind[inner], claimed[inner]
+    same = rows[behind] // len(matched.frame) == rows[behind - 1] // len(matched.frame)
+    found = np.bincount(behind[same], minlength=len(rows))
+    lacks = 2 * found[1:] > np.diff(rows) - 1
+    unseen = claimed[same & np.append(False, lacks)[behind]]
+    enough = len(unseen) > UNSEEN * (len(rows) + len(unseen))
+    return np.unique(unseen % len(matched.frame)) if enough else unseen[:0]

@@ -48,7 +48,7 @@ from sonarrec.truth.check import (
     unread_columns,
     without_rows,
 )
-from sonarrec.truth.match import match_truth
+from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
 MOST_NAMED = 6
@@ -77,6 +77,8 @@ class LogScore:
     rows: tuple[int, int, int, int]
     """Of the truth: all, those about this log, of them unprocessed and between; see Truth."""
     frames: int
+    left_out: int
+    """Frames that are not labelled, if only labelled ones count."""
     ids: tuple[int, ...]
     """Of its landmark set, in the order in which they are counted."""
     fault: str | None
@@ -128,6 +130,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
     if unread := unread_columns(table):
         unused.append(unread)
     report_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
+    unused += diagnostics.problems
     diagnostics.note(*_about_clock(last), about=log.name)
     score = LogScore(
         log=log,
@@ -135,6 +138,7 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         has_log_column=table.log is not None,
         rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
+        left_out=0,
         ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
         fault=misfit(table, last, truth),
         notes=diagnostics.notes,
@@ -142,12 +146,33 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         matched=[],
     )
     if score.fault is None:
-        score.matched = [
-            match(side, of_side, options.min_visible, score.ids, within_m=options.within_m)
-            for side, of_side in zip(sides, truths, strict=True)
-        ]
-        score.unused[:0] = doubts(table, last, truth, score.matched[-1], options.min_visible)
+        score.matched = _match_all(sides, truths, score.ids, options)
+        score.unused[:0] = doubts(table, last, truth, score.matched[-1], options)
+        if options.labelled_only:
+            none = match_truth(table, last, options.tolerance_s, strangers=True)
+            labelled = np.union1d(truth.frame_index, none.frame_index)
+            score.left_out = len(last.frame) - len(labelled)
+            sides = [_only(side, last.frame[labelled]) for side in sides]
+            truths = [
+                replace(one, frame_index=np.searchsorted(labelled, one.frame_index))
+                for one in truths
+            ]
+            score.matched = _match_all(sides, truths, score.ids, options)
     return score
+
+
+def _match_all(
+    sides: Sequence[LogResults],
+    truths: Sequence[Truth],
+    ids: tuple[int, ...],
+    options: ScoringOptions,
+) -> list[Matched]:
+    """Old and new results of a log, or its only ones, each matched with its truth."""
+    within_m, only = options.within_m, options.labelled_only
+    return [
+        match(side, truth, options.min_visible, ids, within_m=within_m, labelled_only=only)
+        for side, truth in zip(sides, truths, strict=True)
+    ]
 
 
 def _about_clock(log: LogResults) -> Iterator[str]:
@@ -297,6 +322,7 @@ def evaluate(
     min_visible: float = 0.9,
     tolerance_s: float | None = None,
     within_m: float | None = None,
+    labelled_only: bool = False,
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
     out: str | Path | None = None,
@@ -324,6 +350,8 @@ def evaluate(
     within_m : float, optional
         Protocol strict counts a claim as right within this distance in m. Default: half a disc
         or plate.
+    labelled_only : bool, default False
+        Only frames count that have a row of truth, of a landmark or `none`.
     landmarks : str, optional
         A landmark set, in place of that of run.toml.
     sonar : Sonar or mapping, optional
@@ -344,7 +372,9 @@ def evaluate(
     UsageError
         An option is invalid, or no truth is found.
     """
-    scoring = scoring_options(method, min_visible, tolerance_s, landmarks, sonar, within_m)
+    scoring = scoring_options(
+        method, min_visible, tolerance_s, landmarks, sonar, within_m, labelled_only
+    )
     logs = results if pairs is None else read_pairs(Path(pairs))
     found = evaluate_logs(logs, ground_truth, scoring)
     for line in found.unused:
@@ -397,6 +427,7 @@ def evaluate_logs(
         truths=tuple(score.log.ground_truth for score in scored),
         notes=(*map(printable, diagnostics.notes), *summary.notes),
         unused=tuple(map(printable, diagnostics.problems)),
+        left_out=sum(score.left_out for score in scored) if options.labelled_only else None,
     )
 
 

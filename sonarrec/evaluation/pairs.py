@@ -16,7 +16,7 @@ from sonarrec.errors import (
     number_of,
 )
 from sonarrec.evaluation.rows import ScoringOptions
-from sonarrec.readers.open import log_name
+from sonarrec.readers.open import is_log_file, log_name, own_file
 from sonarrec.results.read import LogResults, find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.runs.recorded import recorded_at
@@ -89,7 +89,7 @@ def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]
             unread.append(error)
             continue
         try:
-            truth = _truth_of_log(folder, run.input)
+            truth = _truth_of_log(folder, run.input, diagnostics)
         except SonarrecError as error:
             without.append(f"{folder}: no ground truth: {error}")
             continue
@@ -113,10 +113,10 @@ def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]
     return pairs
 
 
-def _truth_of_log(folder: Path, source: Input) -> Path:
+def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path:
     """NAME.gt.csv, else gt.csv, in the folder of the log that results were made from; for a folder,
-    of images or a bag, those in it, else NAME.gt.csv next to it. Raises SonarrecError if there is
-    none."""
+    of images or a bag, those in it, else NAME.gt.csv next to it. It is a problem if a gt.csv may be
+    that of another log next to it. Raises SonarrecError if there is none."""
     found = recorded_at(folder, source)
     truth = found.companion(TRUTH_FILE)
     if truth is None:
@@ -125,6 +125,17 @@ def _truth_of_log(folder: Path, source: Input) -> Path:
         raise SonarrecError(
             f"no {name}, nor {TRUTH_FILE} in or beside {found.path}; {make} makes one"
         )
+    if truth.name == TRUTH_FILE and truth.parent == found.location.parent:
+        logs = sum(
+            is_log_file(path) and not own_file(path, TRUTH_FILE).is_file()
+            for path in truth.parent.iterdir()
+        )
+        if logs > 1 and "log" not in read_header(truth, HEADER):
+            diagnostics.problem(
+                f"{truth}: lies next to {logs} logs and has no log column, so it may be another's "
+                f"than that of {found.location.name}; if it is its own, call it "
+                f"{own_file(found.location, TRUTH_FILE).name}"
+            )
     return truth
 
 

@@ -49,6 +49,8 @@ class ScoringOptions:
     """Under protocol strict a claim must lie this near; None: within half a disc or plate."""
     methods: tuple[str, ...] = ()
     """Those that are scored or shown, the leading one first; all if none is named."""
+    labelled_only: bool = False
+    """Whether only frames count that have a row of truth, of a landmark or `none`."""
 
     def check(self) -> None:
         """Raises UsageError if an option is invalid."""
@@ -72,11 +74,21 @@ def scoring_options(
     landmarks: str | None = None,
     sonar: Sonar | Mapping[str, Any] | None = None,
     within_m: float | None = None,
+    labelled_only: bool = False,
 ) -> ScoringOptions:
     """The options that a program passes, by the names of the command's."""
     methods = (method,) if isinstance(method, str) else tuple(method)
     geometry = sonar_from(sonar)
-    return ScoringOptions(min_visible, tolerance_s, landmarks, geometry, within_m, methods)
+    return ScoringOptions(
+        min_visible, tolerance_s, landmarks, geometry, within_m, methods, labelled_only
+    )
+
+
+def labelled_frames(scored: int, left_out: int | None) -> list[str]:
+    """A line on how many frames count if these are the labelled ones; left_out: None if all are."""
+    if left_out is None:
+        return []
+    return [f"labelled frames only: {scored} of {scored + left_out}; the others are not scored"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +141,13 @@ def match(
     ids: tuple[int, ...] = (),
     *,
     within_m: float | None = None,
+    labelled_only: bool = False,
 ) -> Matched:
     """Match one log with its truth.
 
-    within_m: as of ScoringOptions. ids: the log's IDs in the wanted order; others are not used. A
-    truth with `visible` 0 is none: nothing of the landmark is in view.
+    within_m, labelled_only: as of ScoringOptions; gaps in passes are of labelled frames then, else
+    each of every 20th frame would be a pass. ids: the log's IDs in the wanted order; others are not
+    used. A truth with `visible` 0 is none: nothing of the landmark is in view.
     """
     of_set = np.asarray(log.landmarks.ids)
     ids = ids if set(ids) == set(log.landmarks.ids) else log.landmarks.ids
@@ -168,6 +182,7 @@ def match(
         log.stretch,
         truths,
         claims,
+        count=np.arange(len(log.frame)) if labelled_only else log.frame,
         probability=probability,
         gate_m=within_m or log.landmarks.radius_m,
         period_deg=dict(zip(log.landmarks.ids, log.landmarks.periods_deg().tolist(), strict=True)),
@@ -184,10 +199,13 @@ def matched(
     stretch: IntArray,
     truths: Table,
     claims: Table,
+    *,
+    count: IntArray | None = None,
     **others: Any,
 ) -> Matched:
-    """The log with its passes and units. truths, claims: of Matched, without these and cells."""
-    passes, passage = find_passes(truths, frame, stretch)
+    """The log with its passes and units. truths, claims: of Matched, without these and cells.
+    count: (F,) numbers by which a gap ends a pass, if not those of the frames."""
+    passes, passage = find_passes(truths, frame if count is None else count, stretch)
     unit = unit_of_frames(passes, stretch)
     of_truth = np.where(passage >= 0, np.append(passes["unit"], 0)[passage], unit[truths["at"]])
     index = np.full(max(ids, default=0) + 1, 0)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from sonarrec.errors import printable
 from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.figures import MAIN, METRICS, Summary, over_units, units_text
+from sonarrec.evaluation.rows import labelled_frames
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
@@ -161,7 +162,7 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     """
     counts, summary = evaluation.counts, evaluation.summary
     main, *others = protocols(counts)
-    lines = _paper_tables(counts)
+    lines = labelled_frames(counts.frames, evaluation.left_out) + _paper_tables(counts)
     names = [name for name, metric in METRICS.items() if metric.brief or details]
     for protocol in (main, *others) if details else (main,):
         lines += ["", f"protocol {protocol}, all IDs{over_units(summary.units)}"]

@@ -55,6 +55,8 @@ class Evaluation:
     """What is remarkable, a line each."""
     unused: tuple[str, ...]
     """Input that could not be used or is in doubt, a line each."""
+    left_out: int | None = None
+    """Frames that are not labelled, if only labelled ones count; else None."""
 
     @property
     def confusion(self) -> pd.DataFrame:
@@ -181,6 +183,8 @@ def json_text(evaluation: Evaluation) -> str:
     document = {
         "logs": list(counts.logs),
         "frames": counts.frames,
+        "labelled_only": evaluation.left_out is not None,
+        "frames_left_out": evaluation.left_out or 0,
         "landmarks": list(counts.ids),
         "positives": counts.positives,
         "ignored": counts.ignored,

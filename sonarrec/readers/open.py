@@ -247,6 +247,7 @@ def matches(pattern: str | Path) -> list[Path]:
 
 def _find(path: Path, up_to: Path | None) -> Source:
     files: Sequence[Path]
+    about = Diagnostics(path)
     if not path.exists() and glob.has_magic(str(path)):
         files, reader = _glob_images(path), _IMAGES
         if is_log_file(files[0]):
@@ -256,8 +257,16 @@ def _find(path: Path, up_to: Path | None) -> Source:
         name, reader = path.resolve().name, _IMAGES
         if is_bag_folder(path):
             files, reader = bag_files(path), _BAG_FOLDER
-        elif not (files := ImagePaths(filter(is_image, path.iterdir()))):
-            files, reader = ImagePaths(filter(is_array, path.iterdir())), _ARRAYS
+        else:
+            files, others = (ImagePaths(filter(of, path.iterdir())) for of in (is_image, is_array))
+            if len(others) > len(files):
+                files, others, reader = others, files, _ARRAYS
+            if len(others) > (reader is _IMAGES):  # a single array is perhaps of times
+                more = ", nor others of its kind" * (len(others) > 1)
+                about.note(
+                    f"{others[0].name} is not read{more}: the log is the {len(files)} files as "
+                    f"{files[0].name}"
+                )
         if not files or (reader is _ARRAYS and any(map(is_log_file, path.iterdir()))):
             raise MissingError(_why_no_log(path))
     elif path.is_file():
@@ -270,7 +279,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
         only = "; only `run` reads from servers" if server else ""
         raise MissingError(f"{path}: no such file or folder{only}")
-    return Source(path, results_name(name), files, reader, Diagnostics(path), up_to)
+    return Source(path, results_name(name), files, reader, about, up_to)
 
 
 def _glob_images(pattern: Path) -> Sequence[Path]:

@@ -194,7 +194,7 @@ def _notes(
     about_folder: of ResultsWriter.finish. found: whether any landmark was declared.
     """
     log, note, path = run.log, run.log.diagnostics.note, run.log.path
-    static, saturated = run.recogniser.restored
+    static, saturated, cause = run.recogniser.restored
     doubts = plausibility.contradictions(log.sonar)
     narrow = too_narrow(run.fan, run.landmarks)  # which explains what the notes it omits would ask
     if doubts:
@@ -211,7 +211,7 @@ def _notes(
     if static:
         note(f"{static:.1%} of the picture never changes, and is filled from its neighbours")
     if saturated:
-        note(f"{saturated:.0%} of the frames are saturated; a lower gain is better")
+        note(f"{saturated:.0%} of the frames {cause}")
     if log.untimed:
         note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
     notes = [*log.diagnostics.notes, *about_folder]

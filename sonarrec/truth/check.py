@@ -37,6 +37,8 @@ SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
 MOST_DIFFERENCE_PX = 3.0  # of two statements of one position by one geometry
 MOST_FRAMES = 3  # named in a note
+MOST_OUTSIDE = 0.1  # of positions; more are no slips
+MOST_ADJACENT = 0.1  # of the steps between labelled frames, if every n-th is labelled
 FEWEST = 5  # so many frames at least for a note on a pattern in them
 
 
@@ -150,7 +152,7 @@ def unchecked(table: TruthTable, name: str) -> str:
 def report_fit(
     diagnostics: Diagnostics, table: TruthTable, log: ReadLog, truth: Truth, check: str = ""
 ) -> None:
-    """Tell what a reader should know of the rows on one log.
+    """Tell what a reader should know of the positions on one log; a problem if many are wrong.
 
     truth: as matched to the log. check: the command that checks the truth of this log.
     """
@@ -160,17 +162,26 @@ def report_fit(
         found = log.frame[np.unique(truth.frame_index[outside])].tolist()
         listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
         how = f"; {check} has their lines" * bool(check)
-        diagnostics.note(
+        add = diagnostics.problem if outside.mean() > MOST_OUTSIDE else diagnostics.note
+        add(
             f"{path}: {np.sum(outside)} of {len(outside)} positions lie outside the image of "
             f"{name}, in frame{'s' * bool(found[1:])} {listed}{how}"
         )
-    frames = np.unique(truth.frame_index)
-    if len(frames) >= FEWEST and np.diff(frames).min() > 1:
-        first, last = log.frame[frames[[0, -1]]]
-        diagnostics.note(
-            f"{path}: {len(frames)} of {len(log.frame)} frames of {name}, from {first} to {last}, "
-            "have a row; the others count as without a landmark, and claims there as false"
-        )
+
+
+def sparse(index: IntArray, frame: IntArray) -> str:
+    """Whether rows are on every n-th frame or so, a clause; empty: no.
+
+    index: of the rows, into frame, (F,) the numbers of the frames.
+    """
+    frames = np.unique(index)
+    if len(frames) < FEWEST or np.mean(np.diff(frames) == 1) > MOST_ADJACENT:
+        return ""
+    first, last = frame[frames[[0, -1]]]
+    return (
+        f"{len(frames)} of {len(frame)} frames, from {first} to {last}, have a row; the others "
+        "count as without a landmark, and claims there as false"
+    )
 
 
 def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name: str) -> str:
@@ -241,7 +252,9 @@ def check_truth(
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = np.fromiter(line_numbers(path), np.int64, len(table.keys))
     line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
-    frame, stretch, faults = _frames(table, row, line, log)
+    numbers, frame, stretch, faults = _frames(table, row, line, log)
+    if few := sparse(np.searchsorted(numbers, frame[frame >= 0]), numbers):
+        faults.append(Fault(line[0], "sparse", few))
     if unread := unread_columns(table):
         faults.append(Fault(1, "columns", unread.removeprefix(f"{path}: ")))
     known = ", ".join(map(str, landmarks.ids))
@@ -290,9 +303,9 @@ def check_truth(
 
 def _frames(
     table: TruthTable, row: IntArray, line: list[int], log: Log
-) -> tuple[IntArray, IntArray, list[Fault]]:
-    """(the frame numbers of these rows, -1 if the log has no such frame; their stretches; the
-    faults)."""
+) -> tuple[IntArray, IntArray, IntArray, list[Fault]]:
+    """(the numbers of all frames; those of these rows, -1 if the log has no such frame; their
+    stretches; the faults)."""
     of_log = [(f.index, f.timestamp_ns, f.stretch) for f in log]
     numbers, stamps, stretch = np.array(of_log, dtype=np.int64).T
     keys, last = table.keys[row], int(numbers.max())
@@ -313,7 +326,7 @@ def _frames(
         elif 0 <= keys[n] <= last:
             text = f"frame {keys[n]} of the log cannot be read"
         faults.append(Fault(line[n], "frame", text))
-    return frames, stretch[np.searchsorted(numbers, frames)], faults
+    return numbers, frames, stretch[np.searchsorted(numbers, frames)], faults
 
 
 class _Row(NamedTuple):

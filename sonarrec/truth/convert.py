@@ -100,7 +100,8 @@ def convert(
     for n, one in enumerate(coco.annotations):
         if one.image_id not in images or one.category_id not in names:
             raise SonarrecError(f"{source}: annotations[{n}] names an image or category not listed")
-        centre = None if one.iscrowd else _centre(one)
+        is_mask = isinstance(one.segmentation, dict)  # of runs, which tools flag as a crowd too
+        centre = None if one.iscrowd and not is_mask else _centre(one)
         if centre is None:
             without.append(n)
         else:
@@ -109,6 +110,12 @@ def convert(
         more = f"such as annotations[{without[0]}]"
         diagnostics.problem(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
+        )
+    within_one = [max(map(abs, centre[:2])) <= 1 for _, _, *centre in found]
+    if 2 * sum(within_one) > len(found):
+        raise SonarrecError(
+            f"{source}: {sum(within_one)} of {len(found)} shapes lie within the first pixel, as if "
+            "given in shares of the image; export them in pixels"
         )
     ids = _landmark_ids(
         Counter(label for _, label, *_ in found), labels or {}, landmarks, diagnostics
@@ -119,6 +126,8 @@ def convert(
             f"{source}: {number_of(len(twice), 'name')} of several images each, such as "
             f"{twice[0]}, as where videos share names; export the annotations of one log only"
         )
+    if log is not None and (other := _other_folder(coco.images, find_log(log.path).location)):
+        diagnostics.problem(other)
     frames, rule = _frames_of([image.file_name for image in coco.images], first_frame, log)
     if min(frames.values(), default=0) < 0 or len(set(frames.values())) < len(frames):
         raise SonarrecError(
@@ -196,6 +205,18 @@ def _landmark_ids(
                 f"{landmarks.name!r} ({known}): give --map '{label}=ID', or '{label}=none'"
             )
     return ids
+
+
+def _other_folder(images: Sequence[_Image], log: Path) -> str:
+    """Whether most images are named as in another log's folder, next to this log's; empty: no."""
+    folders = Counter(Path(image.file_name.replace("\\", "/")).parent.name for image in images)
+    ((name, count),) = folders.most_common(1) or [("", 0)]
+    if name in ("", log.name) or not (log.parent / name).is_dir():
+        return ""
+    return (
+        f"{count} of {len(images)} images are named as in the folder {name}, not in {log.name}; "
+        f"are they of the log {log.parent / name}?"
+    )
 
 
 def _frames_of(

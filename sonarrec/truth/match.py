@@ -89,8 +89,7 @@ def match_truth(
         raise SonarrecError(
             f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
             f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
-            f"{log.name}; name the right one with --landmarks, or put it next to the log as "
-            "landmarks.toml"
+            f"{log.name}; write its IDs, not track numbers, or name another set with --landmarks"
         )
     keys, tolerance_ns, position = table.keys[mine], None, None
     if table.key == "frame":

@@ -50,6 +50,13 @@ def logs(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_one_truth_beside_several_logs_may_be_anothers(logs: Path) -> None:
+    truth(logs / "logs" / "gt.csv", range(4))
+    assert "next to 2 logs" in command(logs / "out" / "b", code=3).stderr
+    (logs / "logs" / "gt.csv").rename(logs / "logs" / "b.gt.csv")
+    assert command(logs / "out" / "b").stderr == ""
+
+
 def test_each_log_has_its_own(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     truth(logs / "logs" / "gt.csv", range(8))

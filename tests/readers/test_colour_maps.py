@@ -14,6 +14,7 @@ import pytest
 
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.colour import (
+    EXCHANGED,
     LUMINANCE,
     MAPS,
     find_map,
@@ -32,7 +33,7 @@ def picture() -> np.ndarray:
 
 
 def test_the_maps_that_may_be_stated_are_those_there_are() -> None:
-    assert get_args(ColourMap) == (LUMINANCE, *MAPS)
+    assert get_args(ColourMap) == (LUMINANCE, *MAPS, *(name + EXCHANGED for name in MAPS))
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -62,22 +63,40 @@ def test_the_map_is_found(name: str, quality: int | None) -> None:
     assert np.median(off) <= (2 if quality is None else 6)
 
 
+def as_stored(drawn: np.ndarray, quality: int | None) -> np.ndarray:
+    """A coloured picture as PNG (None) or JPEG gives it back."""
+    if quality is None:
+        return drawn
+    data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+
+
 @pytest.mark.parametrize("quality", [None, 80])
 @pytest.mark.parametrize("name", MAPS)
-def test_a_map_reversed_or_with_red_and_blue_exchanged_is_not_taken_for_another(
-    name: str, quality: int | None
-) -> None:
-    """Its levels would come out turned round, or wrong; their luminance is at least told."""
+def test_a_reversed_map_is_not_taken_for_another(name: str, quality: int | None) -> None:
+    """Its levels would come out reversed; their luminance is at least told."""
     grey = picture()
-    for drawn in (
-        cv2.applyColorMap(255 - grey, MAPS[name]),
-        cv2.applyColorMap(grey, MAPS[name])[:, :, ::-1],
-    ):
-        drawn[grey == 0] = 0  # outside of the fan
-        if quality is not None:
-            data = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-            drawn = cv2.imdecode(data, cv2.IMREAD_COLOR)
-        assert find_map([drawn]) is None
+    drawn = cv2.applyColorMap(255 - grey, MAPS[name])
+    drawn[grey == 0] = 0  # outside of the fan
+    # Jet reversed has the same colours as jet with red and blue exchanged.
+    expected = "jet_bgr" if name == "jet" else None
+    assert find_map([as_stored(drawn, quality)]) in (None, expected)
+
+
+@pytest.mark.parametrize("quality", [None, 80])
+@pytest.mark.parametrize("name", MAPS)
+def test_a_map_with_red_and_blue_exchanged_is_read(name: str, quality: int | None) -> None:
+    grey = picture()
+    drawn = np.ascontiguousarray(cv2.applyColorMap(grey, MAPS[name])[:, :, ::-1])
+    drawn[grey == 0] = 0  # outside of the fan
+    drawn = as_stored(drawn, quality)
+    found = find_map([drawn])
+    if found is None:  # it is told as luminance; rainbow alone, in strong JPEG, is not sure
+        assert (name, quality) == ("rainbow", 80)
+        return
+    assert found == f"{name}_bgr"
+    off = np.abs(map_levels(drawn, found).astype(int) - grey)[grey >= 24]
+    assert np.median(off) <= (2 if quality is None else 6)
 
 
 @pytest.mark.parametrize("name", ["jet", "viridis", "inferno", "magma", "plasma", "turbo"])
@@ -151,6 +170,21 @@ def test_a_map_like_the_one_before_it_is_told(first: str, then: str, tmp_path: P
         list(drawn)
         (_, changed) = drawn.diagnostics.notes
     assert paths[12].name in changed
+
+
+@pytest.mark.parametrize("table", [None, "jet", "viridis"])
+def test_pictures_reversed_midway_are_told(table: str | None, tmp_path: Path) -> None:
+    log = in_colour(tmp_path, MAPS[table or "jet"])
+    paths = sorted(log.glob("*.png"))
+    for n, path in enumerate(paths):
+        grey = cv2.imread(str(SAMPLE / path.name), cv2.IMREAD_GRAYSCALE)
+        level = 255 - grey if n >= 12 else grey
+        cv2.imwrite(str(path), level if table is None else cv2.applyColorMap(level, MAPS[table]))
+    with open_log(log) as drawn:
+        list(drawn)
+        told = [note for note in drawn.diagnostics.notes if "mean level" in note]
+    assert len(told) == 1
+    assert paths[12].name in told[0]
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -153,3 +153,26 @@ def test_lost_or_strange_bytes_cost_the_frames_they_lie_in(
             np.testing.assert_array_equal(frame.image, before[frame.timestamp_ns])
         assert len(whole) - 2 <= len(found)
         assert lines
+
+
+@pytest.mark.parametrize(("ending", "codec"), [("mov", "mp4v"), ("mkv", "FFV1")])
+def test_a_video_damaged_inside_is_told(ending: str, codec: str, tmp_path: Path) -> None:
+    """Its decoder yields as many pictures as ever, some of them wrong."""
+    path = video_file(tmp_path / f"log.{ending}", frames(12, 192, 152), codec)
+    with open_log(path) as whole:
+        assert len(list(whole)) == 12
+        assert whole.diagnostics.problems == []
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 300] = bytes(300)
+    path.write_bytes(data)
+    with open_log(path) as damaged:
+        list(damaged)
+        assert any("damaged inside" in line for line in damaged.diagnostics.problems)
+
+
+def test_an_mp4_that_was_not_finished_is_told(tmp_path: Path) -> None:
+    path = video_file(tmp_path / "log.mp4", frames(12), "mp4v")
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(b"moov") - 4])
+    with pytest.raises(SonarrecError, match="moov"), open_log(path):
+        pass

@@ -234,12 +234,12 @@ def arrays(folder: Path, images: list[np.ndarray]) -> Path:
     "array",
     [
         np.zeros((4, 5, 6), np.uint8),
-        np.zeros((4, 5)),
+        np.zeros((4, 5), complex),
         np.array([["a"]]),
         np.zeros((0, 5), np.uint8),
         np.array([[{}]], object),
     ],
-    ids=["three axes", "float64", "text", "empty", "objects"],
+    ids=["three axes", "complex", "text", "empty", "objects"],
 )
 def test_arrays_of_another_kind_are_refused_in_a_line(array: np.ndarray, tmp_path: Path) -> None:
     log = arrays(tmp_path / "log", frames(3))
@@ -248,6 +248,24 @@ def test_arrays_of_another_kind_are_refused_in_a_line(array: np.ndarray, tmp_pat
         assert [frame.index for frame in opened] == [0, 2]
         (problem,) = opened.diagnostics.problems
     assert problem.startswith("1.npy: ")
+
+
+def test_many_arrays_beside_one_image_are_the_log(tmp_path: Path) -> None:
+    log = arrays(tmp_path / "log", frames(12))
+    cv2.imwrite(str(log / "preview.png"), frames(1)[0])
+    with open_log(log) as opened:
+        assert len(list(opened)) == 12
+        assert any("preview.png" in note for note in opened.diagnostics.notes)
+
+
+def test_most_first_arrays_decide_on_decibels(tmp_path: Path) -> None:
+    """One frame without echoes, or of another unit, comes first."""
+    decibels = [20 * np.log10(np.maximum(image, 1) / 255) - 3 for image in frames(4)]
+    plain = arrays(tmp_path / "plain", decibels)
+    odd = arrays(tmp_path / "odd", [np.full(decibels[0].shape, 0.5), *decibels])
+    with open_log(plain) as one, open_log(odd) as other:
+        images = [[frame.image for frame in log] for log in (one, other)]
+    np.testing.assert_array_equal(images[0], images[1][1:])
 
 
 def test_damaged_arrays_cost_themselves(tmp_path: Path) -> None:

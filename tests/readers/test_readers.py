@@ -93,6 +93,11 @@ SAME_FRAMES: dict[str, Maker] = {
     "npy": npy(lambda i: i),
     "npy, 16 bit, big-endian": npy(lambda i: (i.astype(np.uint16) * 257).astype(">u2")),
     "npy, float": npy(lambda i: (i / 255).astype(np.float32)),
+    "npy, double": npy(lambda i: i / 255),
+    "npy, half": npy(lambda i: (i / 255).astype(np.float16)),
+    "npy, integers": npy(lambda i: i.astype(np.int64)),
+    "npy, 16 bit as integers": npy(lambda i: i.astype(np.int32) * 257),
+    "npy, of one": npy(lambda i: i[None]),
     "avi": lambda path, images: video_file(path / "log.avi", images, "HFYU"),  # lossless
     "mkv": lambda path, images: video_file(path / "log.mkv", images, "HFYU"),
     "bag, ROS 1, bz2": lambda path, images: ros1_bag(path / "log.bag", images, "BZ2"),
@@ -263,15 +268,22 @@ def test_numbers_left_out_in_names_are_told(tmp_path: Path, names: str, told: st
     assert [note.rpartition("counted: ")[2] for note in notes] == [told] * (told is not None)
 
 
-def test_images_of_two_kinds_with_the_same_names_are_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("other", ["{n}.jpg", "{n}_mask.png", "seg/{n}.png", "z_{n}.png"])
+def test_images_of_two_kinds_are_told(other: str, tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(3, 20, 20))
+    (log / "seg").mkdir()
     for path in [*log.glob("*.png")]:
-        cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)))
+        cv2.imwrite(str(log / other.format(n=path.stem)), cv2.imread(str(path)))
     with open_log(log) as opened:
-        assert opened.frame_count == 6
-        (note,) = opened.diagnostics.notes
-    assert "images of two kinds with the same names" in note
-    assert note.endswith("such as '*.jpg'")
+        told = [note for note in opened.diagnostics.notes if "two kinds" in note]
+        assert opened.frame_count == (3 if "/" in other else 6)
+    assert bool(told) == ("/" not in other)
+    for note in told:  # the glob that it names has one kind
+        with open_log(log / note.split("'")[1]) as opened:
+            assert opened.frame_count == 3
+
+
+def test_folders_of_a_glob_are_no_kinds(tmp_path: Path) -> None:
     folders = [image_folder(tmp_path / "logs" / name, frames(3, 20, 20)) for name in "ab"]
     with open_log(f"{folders[0].parent}/*/*.png") as opened:
         assert not any("two kinds" in note for note in opened.diagnostics.notes)

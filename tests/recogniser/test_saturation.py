@@ -146,3 +146,21 @@ def test_landmarks_are_recognised_and_a_note_tells(
         cv2.imwrite(str(log / f"{index:06d}.png"), picture)
     assert note in sonarrec("run", log, "-o", tmp_path / "out").stderr
     check_nearly_as_on_record(tmp_path / "out" / sample, sample)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda levels: levels + 100, "lower gain"),
+        (lambda levels: 255 - np.clip(levels - 90, 0, 255), "reversed"),
+        (lambda levels: 255.0 * (levels > 110), "masks"),
+    ],
+)
+def test_gain_is_blamed_only_where_it_may_be_the_cause(
+    change: Callable[[np.ndarray], np.ndarray], told: str
+) -> None:
+    levels = Levels(RADIUS_M)
+    list(levels.restored([frame(np.asarray(change(disc(1)), float))]))
+    assert levels.saturated
+    assert told in levels.cause
+    assert ("lower gain" in levels.cause) == (told in ("lower gain", "reversed"))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Collection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +16,7 @@ from click.testing import Result
 from sonarrec.errors import Diagnostics
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.check import report_fit
+from sonarrec.truth.check import report_fit, sparse
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.command import SAMPLE, sonarrec
@@ -204,31 +206,89 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
     ("row", "labelled", "doubt"),
     [
         ("{n},1,2.0,{bearing},1", 24, None),
-        ("{n},2,2.0,{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
-        ("{n},1,1.0,{bearing},1", 24, "0 of 24 rows"),
+        ("{n},2,2.0,{bearing},1", 24, "if `landmark` 2 were ID.1"),
+        ("{n},1,1.0,{bearing},1", 24, "if range were that stated +1 m"),
+        ("{n},1,2.0,{doubled},1", 24, "if bearing were that stated times 0.5"),
+        ("{n},1,{scattered},{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
+        ("{n},{either},2.0,{bearing},1", 24, "12 of 24 rows lie on claims of other IDs"),
+        ("{n},1,2.0,{half},1", 24, "rows would meet claims only with the sign of their bearings"),
         ("{after},1,2.0,{bearing},1", 23, "better 1 frame earlier (0.25 s)"),
         ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings reversed"),
         ("{n},1,2.0,{radians},1", 24, "with bearings in radians"),
-        ("{n},1,2.0,{bearing},0", 24, "`visible` is 0 in all rows on out"),
+        ("{n},1,2.0,{bearing},0", 24, "`visible` is 0 at most in all rows on out"),
+        ("{n},1,2.0,{bearing},0.4", 24, "`visible` is 0.4 at most in all rows on out"),
         ("{n},1,2.0,{bearing},1", 12, "end at frame 11, and 12 of the 12 frames without one"),
     ],
 )
 def test_what_makes_figures_mean_something_else_comes_first(
     case: Path, row: str, labelled: int, doubt: str | None
 ) -> None:
-    """A landmark crosses the view, and is claimed where it is."""
+    write_crossing(case, row, range(labelled))
+    said = run(case, code=3 if doubt else 0).stderr.partition("\n")[0]
+    assert doubt in said if doubt else not said
+
+
+def write_crossing(case: Path, row: str, labelled: Collection[int]) -> None:
+    """A landmark crosses the view in 24 frames, and is claimed where it is."""
     frames, rows, claims = "frame,timestamp_ns\n", "", ""
     for n in range(24):
-        of = {"n": n, "after": n + 1, "bearing": n - 7, "turned": 7 - n}
+        of = {"n": n, "after": n + 1, "bearing": n - 7, "turned": 7 - n, "doubled": 2 * (n - 7)}
+        of |= {
+            "half": n - 7 if n % 2 else 7 - n,
+            "either": 1 + n % 2,
+            "scattered": 1.2 + 0.5 * (n * 7 % 5 // 2),
+        }
         frames += f"{n},{n * 250_000_000}\n"
         claims += f"{n},m,2.0,{n - 7},1,0.9,1\n"
-        if n < labelled:
+        if n in labelled:
             rows += row.format(**of, radians=math.radians(n - 7)) + "\n"
     (case / "out" / "frames.csv").write_text(frames)
     (case / "out" / "estimates.csv").write_text(f"{ESTIMATES.partition(chr(10))[0]}\n{claims}")
     (case / "gt.csv").write_text(f"{TRUTH.split()[0]}\n{rows}")
-    said = run(case, code=3 if doubt else 0).stderr.partition("\n")[0]
-    assert doubt in said if doubt else not said
+
+
+@pytest.mark.parametrize(
+    "labelled", [range(0, 24, 5), range(1, 24, 2), [*range(8), *range(16, 24)]]
+)
+def test_frames_without_a_row_may_be_left_out(case: Path, labelled: Collection[int]) -> None:
+    """Claims on them count as false, which is told, or not at all."""
+    write_crossing(case, "{n},1,2.0,{bearing},1", labelled)
+    assert "--labelled-only" in run(case, code=3).stderr
+    unlabelled = 24 - len(labelled)
+    assert false_claims(case) == unlabelled
+    head = run(case, "--labelled-only").stdout.partition("\n")[0]
+    assert f"{len(labelled)} of 24" in head
+    assert false_claims(case) == 0
+    found = json.loads((case / "out" / "evaluation" / "evaluation.json").read_text())
+    assert found["labelled_only"]
+    assert (found["frames"], found["frames_left_out"]) == (len(labelled), unlabelled)
+    compared = sonarrec(
+        *("evaluate", "--compare", case / "out", case / "out", "--labelled-only"),
+        *("--ground-truth", case / "gt.csv", "-o", case / "compared"),
+    )
+    assert f"{len(labelled)} of 24" in compared.stdout
+
+
+def false_claims(case: Path) -> int:
+    rows = read_rows(case / "out" / "evaluation" / "confusion.csv")
+    return int(next(r["fp"] for r in rows if (r["protocol"], r["landmark"]) == ("paper", "total")))
+
+
+def test_a_frame_labelled_as_empty_counts(case: Path) -> None:
+    write_crossing(case, "{n},1,2.0,{bearing},1", range(12))
+    with (case / "gt.csv").open("a") as file:
+        file.write("".join(f"{n},none,2.0,0,1\n" for n in range(12, 18)))
+    run(case, "--labelled-only")
+    assert false_claims(case) == 6
+
+
+def test_sparse_labels_make_one_pass_of_labelled_frames(case: Path) -> None:
+    """Each of every twentieth frame would else be a pass of its own, and a case by itself."""
+    frame = np.arange(0, 24, 12)
+    write_crossing(case, "{n},1,2.0,{bearing},1", frame.tolist())
+    run(case, "--labelled-only")
+    passes = read_rows(case / "out" / "evaluation" / "passes.csv")
+    assert {(row["first_frame"], row["last_frame"]) for row in passes} == {("0", "12")}
 
 
 @pytest.mark.slow
@@ -253,28 +313,28 @@ def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("frames", "said"),
-    [
-        ([*range(0, 60, 10)], "6 of 60 frames of log, from 0 to 50, have a row"),
-        ([*range(9)], None),
-        ([0, 1, 10, 20, 30, 40], None),
-    ],
+    ("frames", "is_sparse"),
+    [([*range(0, 60, 10)], True), ([*range(9)], False), ([0, 1, 10, 20, 30, 40], False)],
 )
-def test_a_truth_of_few_frames_is_doubted(
-    tmp_path: Path, frames: list[int], said: str | None
+def test_rows_on_every_nth_frame_are_told(frames: list[int], is_sparse: bool) -> None:
+    told = sparse(np.repeat(frames, 2), np.arange(100, 160))
+    assert bool(told) == is_sparse
+    assert not told or "6 of 60 frames, from 100 to 150" in told
+
+
+@pytest.mark.parametrize(("outside", "is_problem"), [(2, False), (12, True)])
+def test_many_positions_outside_the_image_are_a_problem(
+    tmp_path: Path, outside: int, is_problem: bool
 ) -> None:
-    """Every tenth frame labelled: it was scored without a word."""
-    path = tmp_path / "gt.csv"
-    path.write_text("\n".join(["frame,landmark", *(f"{n},1" for n in frames)]))
-    frame = np.arange(60)
-    log: Any = SimpleNamespace(
-        name="log",
-        landmarks=load_landmarks("basin"),
-        fan=make_fan(),
-        frame=frame,
-        timestamp_ns=frame * 10**8,
-    )
-    table = read_truth(path)
-    told = Diagnostics()
+    path, fan, frame = tmp_path / "gt.csv", make_fan(), np.arange(40)
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    bearings = [fan.bearing_max_deg + 20 if n < outside else middle for n in range(40)]
+    range_m = (fan.range_min_m + fan.range_max_m) / 2
+    rows = [f"{n},1,{range_m},{bearing}" for n, bearing in enumerate(bearings)]
+    path.write_text("\n".join(["frame,landmark,range_m,bearing_deg", *rows]))
+    basin = load_landmarks("basin")
+    log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
+    table, told = read_truth(path), Diagnostics()
     report_fit(told, table, log, match_truth(table, log))
-    assert [said in note for note in told.notes] == [True] if said else not told.notes
+    (line,) = told.problems if is_problem else told.notes
+    assert f"{outside} of 40 positions lie outside" in line

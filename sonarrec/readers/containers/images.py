@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -111,6 +112,19 @@ def _not_as_numbered(stems: Sequence[str]) -> int | None:
     return uncounted if number - first < 2 * len(stems) else None
 
 
+def _kinds(files: Iterable[Path]) -> tuple[str, str, str] | None:
+    """(a name of each of two kinds, a glob of the first) if most images have a partner in their
+    folder, whose name has the same numbers but other text; else None."""
+    of_numbers = defaultdict[tuple[object, ...], list[str]](list)
+    for file in files:
+        of_numbers[file.parent, *re.findall("[0-9]+", file.name)].append(file.name)
+    pairs = [(first, same[0]) for first, *same in of_numbers.values() if same]
+    if 3 * len(pairs) < sum(map(len, of_numbers.values())) or not pairs:
+        return None
+    first, second = sorted(pairs[0], key=len)
+    return first, second, re.sub("[0-9]+", "*[0-9]", first)
+
+
 class ImageFiles(RawLog):
     """One image file a frame, in the order of the names. Times in the names, as `times_in_names`
     finds them, are the frames' times."""
@@ -141,13 +155,11 @@ class ImageFiles(RawLog):
 
     def _about_names(self, stems: Sequence[str]) -> str | None:
         """What a user should know of the frames' times and numbers. stems: names without suffix."""
-        # Whether most images are named as another but for the suffix.
-        if len(set(stems)) < len(stems) and 3 * len(
-            {file.with_suffix("") for file in self.files}
-        ) <= 2 * len(stems):
+        if (kinds := _kinds(self.files)) is not None:
             return (
-                "it has images of two kinds with the same names, and each is a frame; if they show "
-                f"the same, quote a glob of one kind, such as '*{self.files[0].suffix}'"
+                f"it has images of two kinds, as {kinds[0]} and {kinds[1]}, and each is a frame; "
+                f"if one is no picture of the sonar, quote a glob of the other, such as "
+                f"'{kinds[2]}'"
             )
         if self._times is not None:
             if re.fullmatch("[0-9]{19}", stems[0]):

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import cv2
 
-from sonarrec.errors import Diagnostics, SonarrecError
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
+from sonarrec.readers.decode.pixels import warnings_file, warnings_to, written
 from sonarrec.readers.raw import RawLog, StoredFrame
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
@@ -35,10 +36,17 @@ class VideoFrames(RawLog):
         """Raises SonarrecError if OpenCV cannot open the file as a video."""
         super().__init__(diagnostics)
         self._path, self._name = path, opencv_name(path)
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: we report faults ourselves
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        self._video = cv2.VideoCapture(self._name)
+        with warnings_to(said := warnings_file()):
+            self._video = cv2.VideoCapture(self._name)
         if not self._video.isOpened():
+            with path.open("rb") as file:
+                is_mp4 = file.read(8)[4:] == b"ftyp"
+            if is_mp4 and b"moov atom not found" in written(said):
+                raise SonarrecError(
+                    f"{path}: its recorder did not finish it, so that the index (moov) is missing; "
+                    "a tool for repair needs a whole video of the same camera"
+                )
             raise SonarrecError(f"{path}: does not open as a video (damaged, or an unknown codec)")
         count, rate = map(self._video.get, (cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
         self.frame_count = round(count) if 0 < count < 1e9 else None
@@ -48,15 +56,20 @@ class VideoFrames(RawLog):
 
     def __iter__(self) -> Iterator[StoredFrame]:
         if not self._at_begin:  # of an earlier pass
-            self._video.open(self._name)
+            with warnings_to(warnings_file()):
+                self._video.open(self._name)
         self._at_begin = False
         index, last_ns, rate = 0, -1, self.playback_hz
-        while self._video.grab():
-            pixels = None
-            if index not in self.passed_over:
-                ok, pixels = self._video.retrieve()
-                if not ok:
-                    break
+        damaged = list[int]()
+        while True:
+            with warnings_to(said := warnings_file()):
+                ok, pixels = self._video.grab(), None
+                if ok and index not in self.passed_over:
+                    ok, pixels = self._video.retrieve()
+            if not ok:
+                break
+            if written(said):
+                damaged.append(index)
             time_ns: int | None = round(self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             if time_ns is not None and time_ns > last_ns:
                 last_ns = time_ns
@@ -65,7 +78,20 @@ class VideoFrames(RawLog):
             yield StoredFrame(f"frame {index}", time_ns, pixels)
             index += 1
         count = self.frame_count or 0
-        if index < count and self._is_estimate():
+        if damaged:
+            self.diagnostics.fault(
+                f"damaged inside at {number_of(len(damaged), 'frame')}, the first is {damaged[0]}; "
+                "pictures from there on may be wrong",
+                self._path.name,
+            )
+        if not index:
+            four = int(self._video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("latin-1")
+            self.diagnostics.fault(
+                f"not one of {count} frames can be decoded here (codec {four.strip()}); convert it "
+                "on a machine that plays it",
+                self._path.name,
+            )
+        elif index < count and self._is_estimate():
             self.diagnostics.note(
                 f"{index} frames read, but its length and rate give {count}: the recorder dropped "
                 "some, or it is damaged; numbers of later frames may be wrong"

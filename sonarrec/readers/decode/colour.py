@@ -28,6 +28,8 @@ MAPS = {
     "turbo": cv2.COLORMAP_TURBO,
     "viridis": cv2.COLORMAP_VIRIDIS,
 }
+EXCHANGED = "_bgr"
+"""Behind the name of a map whose red and blue were exchanged as the picture was written."""
 LUMINANCE = "luminance"
 """In place of a colour map: grey by OpenCV's weights of red, green and blue."""
 
@@ -70,15 +72,15 @@ def strays(pixels: np.ndarray, name: str, usual: float) -> bool:
 def find_map(images: Sequence[np.ndarray]) -> str | None:
     """The colour map of a log's first images; None if it is not one of MAPS. images: (rows,
     columns, 3 or more) uint8, BGR. Their colours must be nearer to the map than to any straight
-    line, such as a ramp of one hue, or to any map with red and blue exchanged. In a reversed map
-    they would be bright as those of no sonar are."""
+    line, such as a ramp of one hue, or to any other map, also with red and blue exchanged. In a
+    reversed map they would be bright as those of no sonar are."""
     colours = np.concatenate([_sample(image) for image in images])
     if not len(colours):
         return None
     is_mixed = len(np.unique(colours, axis=0)) > _MOST_COLOURS
     tables = {name: _colours(name) for name in MAPS}
     # Jet exchanged is jet reversed.
-    exchanged = {f"{name}_bgr": tables[name][:, ::-1] for name in MAPS if name != "jet"}
+    exchanged = {name + EXCHANGED: tables[name][:, ::-1] for name in MAPS if name != "jet"}
     squared = {name: _squared(table, colours) for name, table in (tables | exchanged).items()}
     off = {name: np.sqrt(s.min(axis=1), dtype=float).mean() for name, s in squared.items()}
     nearest, second = sorted(off, key=lambda name: off[name])[:2]
@@ -86,9 +88,11 @@ def find_map(images: Sequence[np.ndarray]) -> str | None:
     along = np.linalg.svd(centred[:_SAMPLED].astype(float), full_matrices=False)[2][0]
     off_line = np.linalg.norm(centred - np.outer(centred @ along, along), axis=1).mean()
     most = min(_NEAR_IF_MIXED if is_mixed else _NEAR, off_line, _CLEARLY * off[second])
-    if off[nearest] > most or nearest in exchanged:
+    if off[nearest] > most:
         return None
-    return nearest if squared[nearest].argmin(axis=1).mean() <= _BRIGHT else None
+    if squared[nearest].argmin(axis=1).mean() <= _BRIGHT:
+        return nearest
+    return nearest + EXCHANGED if nearest == "jet" else None
 
 
 def map_levels(pixels: np.ndarray, name: str) -> ByteImage:
@@ -108,7 +112,8 @@ def _sample(image: np.ndarray) -> np.ndarray:
 def _colours(name: str) -> FloatArray:
     """(256, 3) BGR of a map's levels."""
     levels = np.arange(256, dtype=np.uint8)[:, None]
-    return np.asarray(cv2.applyColorMap(levels, MAPS[name])[:, 0], float)
+    colours = cv2.applyColorMap(levels, MAPS[name.removesuffix(EXCHANGED)])[:, 0]
+    return np.asarray(colours[:, ::-1] if name.endswith(EXCHANGED) else colours, float)
 
 
 def _squared(table: FloatArray, colours: np.ndarray) -> np.ndarray:

@@ -48,6 +48,8 @@ NO_DATA = -500.0
 _MEDIAN_AT = 1 / 3  # of the range, for floor speckle: high enough for shadows to show
 _MOSTLY = 0.5  # share of pixels; single ones decide nothing
 _STRAY = 0.01  # share of pixels out of bounds that are a fault
+_EVERY = 8  # row and column counts for a picture's mean level
+_DISTINCT = 30  # levels between a picture's mean and that of the reversed one; else either may be
 _NEXT_TO_BLACK = 1 / 32  # of full scale: no compressed image has its median below
 
 # For `holds_amplitudes`: rows and columns of a block, which blocks are used, and the sum of slope
@@ -254,7 +256,8 @@ class Levels:
     """How pixels become grey. in_colour: whether a frame was, and its map was looked for. off: the
     distance of colours from the map in the first frame. strayed: whether a note was made
     that colours are of another map. amplitudes: types of integers that hold them. scales: by type
-    of pixels, each from its first usable frame."""
+    of pixels, each from its first usable frame. usual: the mean grey level of echoes in the first
+    frame that shows something. is_reversed: whether a note was made that a frame is reversed."""
 
     colour_map: str
     in_colour: bool = False
@@ -262,6 +265,8 @@ class Levels:
     strayed: bool = False
     amplitudes: frozenset[np.dtype[Any]] = frozenset()
     scales: Mapping[np.dtype[Any], GreyScale] = field(default_factory=dict)
+    usual: float | None = None
+    is_reversed: bool = False
 
 
 def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
@@ -272,6 +277,13 @@ def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
     if pictures and not sonar.colour_map:
         levels = _of_map(levels, pictures, stated)
     if sonar.pixel_scale is not None:
+        return levels
+    floating = [(f, f.pixels) for f in first if f.pixels is not None and f.pixels.dtype.kind == "f"]
+    if floating:  # what most of them hold, echoes in decibels or others, decides the scale
+        negative = [below_zero(pixels) > _MOSTLY for _, pixels in floating]
+        usual = negative.index(2 * sum(negative) > len(negative))
+        with suppress(UnusableError):
+            levels, _ = grey_of(levels, *floating[usual], stated)
         return levels
     images: dict[np.dtype[Any], list[np.ndarray]] = {}
     for frame in first:
@@ -331,7 +343,30 @@ def grey_of(
                 f"{kinds[scale.pixel_scale]}; --pixel-scale states another scale"
             )
         levels = replace(levels, scales={**levels.scales, grey.dtype: scale})
-    return levels, to_grey8(grey, scale)
+    image = to_grey8(grey, scale)
+    return levels if levels.is_reversed or levels.strayed else _of_level(
+        levels, image, frame.name, stated
+    ), image
+
+
+def _of_level(levels: Levels, image: ByteImage, name: str, stated: Stated) -> Levels:
+    """With the usual level. A note tells of a frame nearer to 255 less this, as a reversed one."""
+    some = image[::_EVERY, ::_EVERY]
+    if not (some := some[some > 0]).size:
+        return levels
+    level = float(some.mean())
+    if levels.usual is None:
+        return replace(levels, usual=level)
+    if (
+        255 - 2 * levels.usual < _DISTINCT
+        or 255 - levels.usual - level >= (level - levels.usual) / 2
+    ):
+        return levels
+    stated.note(
+        f"{name} is as bright as a reversed picture (mean level {level:.0f}, in the first frame "
+        f"{levels.usual:.0f}); if it is one, run each part as a log of its own"
+    )
+    return replace(levels, is_reversed=True)
 
 
 def _of_map(

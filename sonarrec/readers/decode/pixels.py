@@ -20,13 +20,13 @@ from sonarrec.tables import something_else
 
 
 @cache
-def _warnings_file() -> BinaryIO:
+def warnings_file() -> BinaryIO:
     """The temporary file to which the decoders' warnings go."""
     return tempfile.TemporaryFile(prefix="sonarrec_", buffering=0)
 
 
 @contextlib.contextmanager
-def _warnings_to(file: BinaryIO) -> Iterator[None]:
+def warnings_to(file: BinaryIO) -> Iterator[None]:
     """Sends file descriptor 2 to an emptied file: decoders write there past every logging
     setting."""
     file.seek(0)
@@ -47,6 +47,14 @@ def _warnings_to(file: BinaryIO) -> Iterator[None]:
         else:
             os.dup2(saved, 2)
             os.close(saved)
+
+
+def written(file: BinaryIO) -> bytes:
+    """The first warnings that were sent to the file."""
+    if not file.tell():
+        return b""
+    file.seek(0)
+    return file.read(4096)
 
 
 _JPEG = b"\xff\xd8"
@@ -132,15 +140,18 @@ def _array(data: np.ndarray) -> np.ndarray:
         pixels = np.asarray(np.load(io.BytesIO(data.tobytes()), allow_pickle=False))
     except Exception:  # it raises errors of many classes
         raise UnusableError("a damaged array of NumPy, or one of objects") from None
-    kind = pixels.dtype.newbyteorder("=")
-    if (
-        pixels.ndim != 2
-        or kind not in (np.uint8, np.uint16, np.float32)
-        or pixels.size > _MOST_PIXELS
-    ):
-        what = f"an array of {kind}, shape {pixels.shape}"
-        raise UnusableError(f"{what}; two dimensions of uint8, uint16 or float32 are read")
-    return pixels
+    if pixels.ndim == 3:
+        pixels = pixels.squeeze(tuple(axis for axis in (0, 2) if pixels.shape[axis] == 1))
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.size > _MOST_PIXELS:
+        what = f"an array of {pixels.dtype}, shape {pixels.shape}"
+        raise UnusableError(f"{what}; two dimensions of numbers are read")
+    if pixels.dtype.kind == "f":
+        return pixels.astype(np.float64 if pixels.itemsize > 4 else np.float32)
+    # NumPy's own type of integers is wide, whatever they are: those of a picture are not.
+    low, high = (int(f(initial=0)) for f in (pixels.min, pixels.max))
+    fits = (of for of in (np.uint8, np.uint16) if low >= 0 and high <= np.iinfo(of).max)
+    narrow = next(fits, pixels.dtype) if pixels.itemsize > 2 else pixels.dtype
+    return pixels.astype(np.float32 if low < 0 else narrow)
 
 
 def _is_misread_tiff(data: bytes, image: np.ndarray) -> bool:
@@ -184,7 +195,7 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
     flags = cv2.IMREAD_UNCHANGED if is_tiff else _AS_SHOWN
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        with _warnings_to(captured := _warnings_file()):
+        with warnings_to(captured := warnings_file()):
             image = cv2.imdecode(buffer, flags)
             if is_tiff:
                 several = cv2.imdecodemulti(buffer, cv2.IMREAD_REDUCED_GRAYSCALE_8, range=(1, 2))[0]
@@ -201,11 +212,9 @@ def decode_image(data: bytes | memoryview | np.ndarray) -> np.ndarray:
             f"a TIFF of {image.dtype} with negative pixels, white as zero or colours in planes, "
             "which is not read; convert it, as to PNG"
         )
-    if captured.tell():
-        captured.seek(0)
-        warning = captured.read(4096)
-        if buffer[:2].tobytes() == _JPEG and _jpeg_is_damaged(buffer, warning):
-            raise UnusableError("a JPEG that is damaged inside")
+    is_jpeg = buffer[:2].tobytes() == _JPEG
+    if (warning := written(captured)) and is_jpeg and _jpeg_is_damaged(buffer, warning):
+        raise UnusableError("a JPEG that is damaged inside")
     return np.asarray(image)
 
 

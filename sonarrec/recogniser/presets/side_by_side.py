@@ -189,9 +189,11 @@ class SideBySide:
             stages.odometry.report(diagnostics)
 
     @property
-    def restored(self) -> tuple[float, float]:
-        """Shares of static pixels, and of saturated frames so far; restored before stage 1."""
-        return self._unchanging.share, self._levels.saturated / max(self._levels.seen, 1)
+    def restored(self) -> tuple[float, float, str]:
+        """Shares of static pixels, and of saturated frames so far, restored before stage 1; and
+        what these suggest."""
+        levels = self._levels
+        return self._unchanging.share, levels.saturated / max(levels.seen, 1), levels.cause
 
     def _final(self, most: int) -> Iterator[FrameResult]:
         """Yield the results of the oldest frames, each as one, until at most so many wait."""

@@ -8,6 +8,7 @@ reach it, and their share tells how much brighter the ring is.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from statistics import NormalDist
@@ -31,6 +32,8 @@ FEWEST, MOST = 0.02, 0.99  # shares are clipped to these: beyond them the lift i
 # Factor on a Gaussian's lift: speckle in decibels is skewed, and reaches less far above its mean.
 OF_GAUSSIAN = 0.6
 LEAST_SPREAD = 4.0  # grey levels
+FEW_LEVELS = 8  # in a mask
+BRIGHT = 150.0  # mean level: sonar pictures have 60 to 120, reversed ones the rest to 255
 
 
 def _lifts() -> FloatImage:
@@ -58,6 +61,13 @@ class Levels:
         self._shown_of: tuple[Fan, tuple[int, ...]] | None = None
         self._shown: ByteImage = np.empty((0, 0), np.uint8)  # of the pixels counted, the fan's
         self.seen = self.saturated = 0
+        self._causes = Counter[str]()
+
+    @property
+    def cause(self) -> str:
+        """What most saturated pictures suggest as its cause, or a cure."""
+        ((cause, _),) = self._causes.most_common(1) or [("", 0)]
+        return cause
 
     def restored(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames of a log; those that are saturated get restored `pixels`.
@@ -69,6 +79,7 @@ class Levels:
             up_to = self._echoes(frame)
             if (first := saturated_from(up_to)) is not None:
                 self.saturated += 1
+                self._causes[_cause(up_to)] += 1
                 frame = replace(frame, pixels=self._lift(frame, first, _spread(up_to)))
             yield frame
 
@@ -127,6 +138,15 @@ def saturated_from(up_to: IntArray) -> int | None:
     below, before = int(up_to[first - NEXT - 1]), int(up_to[first - 1])
     excess = echoes - before - HIGHEST * (before - below) / NEXT
     return first if excess >= LEAST_SHARE * echoes else None
+
+
+def _cause(up_to: IntArray) -> str:
+    """Why a saturated picture may have its highest levels so often. up_to: as above."""
+    counts = np.diff(up_to, prepend=0)
+    if np.count_nonzero(counts) < FEW_LEVELS:
+        return "have few grey levels, as masks have; are they pictures of the sonar?"
+    bright = np.average(np.arange(256), weights=counts) > BRIGHT
+    return f"are saturated; a lower gain is better{', unless they are reversed' * bool(bright)}"
 
 
 def _spread(up_to: IntArray) -> float:
