@@ -34,14 +34,14 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2888,
+    "cli": 2890,
     "drawing": 733,
-    "evaluation": 3925,
+    "evaluation": 3930,
     "geometry": 415,
     "learning": 556,
     "mapping": 1392,
-    "overlays": 546,
-    "readers": 6161,
+    "overlays": 547,
+    "readers": 6258,
     "recogniser": 6441,
     "reports": 2126,
     "results": 1956,

@@ -340,7 +340,7 @@ def _part(both: _Sightings, log: LogResults) -> str:
     """How many rows, a part, would meet claims in another reading than the others, and in which."""
     rest, rows = both.rest(), int(both.rows.sure.sum())
     on_others = int(rest.rows.sure[np.unique(rest.near(rest.rows)[0])].sum())
-    if on_others > OTHER_IDS * rows:
+    if rows >= FEWEST_CLAIMS and on_others > OTHER_IDS * rows:
         return f"{on_others} of {rows} rows lie on claims of other IDs"
     row, claim = equal_pairs(rest.rows.frame, rest.claims.frame)
     same = rest.rows.landmark[row] == rest.claims.landmark[claim]
@@ -424,6 +424,9 @@ def _between_rows(matched: Matched, claims: Table) -> IntArray:
     frames between claimed. Empty if these are few."""
     ids = len(matched.ids)
     rows, claimed = (np.unique(of["cell"]) for of in (matched.truths, claims))
+    # Where a row lacks a claim, a claim of another ID lies on its landmark.
+    confused = np.unique(np.setdiff1d(rows, claimed) // ids)
+    claimed = claimed[~np.isin(claimed // ids, confused)]
     # One ID after the other, by frame.
     rows, claimed = (
         np.sort(cell % ids * len(matched.frame) + cell // ids) for cell in (rows, claimed)

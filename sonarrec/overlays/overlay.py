@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,6 +30,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.overlays.foxglove_mcap import WriteFrame, foxglove_file
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.video import opencv_name
+from sonarrec.readers.decode.pixels import warnings_file, warnings_to
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.records import Estimate, Fan, Frame
@@ -310,11 +310,10 @@ def _video_file(path: Path, landmarks: LandmarkSet, frame_rate_hz: float) -> Ite
 
     Raises SonarrecError if the name is not UTF-8, or where it did not become a whole video.
     """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: faults are reported below
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     # MPEG-4 divides a second into 65,535 parts at the most; players want one frame a second.
     rate = round(min(max(frame_rate_hz, 1.0), 60.0), 3)
-    video, frames = cv2.VideoWriter(), 0
+    video, frames, said = cv2.VideoWriter(), 0, warnings_file()  # faults are reported below
     with writing(path), replaced(path) as new:
         name = opencv_name(new)
 
@@ -322,15 +321,17 @@ def _video_file(path: Path, landmarks: LandmarkSet, frame_rate_hz: float) -> Ite
             nonlocal frames
             picture = _picture(frame, landmarks, history, truth)
             size = (picture.shape[1], picture.shape[0])
-            if not (frames or video.open(name, cv2.VideoWriter.fourcc(*"mp4v"), rate, size)):
-                raise SonarrecError(f"{path}: cannot be written")
-            video.write(picture)
+            with warnings_to(said):
+                if not (frames or video.open(name, cv2.VideoWriter.fourcc(*"mp4v"), rate, size)):
+                    raise SonarrecError(f"{path}: cannot be written")
+                video.write(picture)
             frames += 1
 
         try:
             yield write
         finally:
-            video.release()
+            with warnings_to(said):
+                video.release()
         # OpenCV does not report a failed write.
         if cv2.VideoCapture(name).get(cv2.CAP_PROP_FRAME_COUNT) != frames:
             raise SonarrecError(

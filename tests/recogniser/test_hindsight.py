@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sonarrec.config import preset
+from sonarrec.config import preset, with_assignments
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.records import Estimate, FrameResult
@@ -30,7 +30,8 @@ def result(frame: int, episode: int, beliefs: np.ndarray) -> FrameResult:
 
 
 def revised(frames: list[FrameResult]) -> list[Estimate]:
-    hindsight = Hindsight("m", preset("offline"), BASIN)
+    config = with_assignments(preset("offline"), ["features.declare=0.75"])  # as `result` has it
+    hindsight = Hindsight("m", config, BASIN)
     for frame in frames:
         hindsight.learn(frame)
     return [hindsight.revised(frame).estimates[0] for frame in frames]

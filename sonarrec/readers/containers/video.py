@@ -14,6 +14,7 @@ from sonarrec.readers.raw import RawLog, StoredFrame
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
 _TAIL_BYTES = 2**20
+_ONE_THREAD = [cv2.CAP_PROP_N_THREADS, 1]  # others warn of a frame at another one
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm"})
 
 
@@ -38,7 +39,7 @@ class VideoFrames(RawLog):
         self._path, self._name = path, opencv_name(path)
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         with warnings_to(said := warnings_file()):
-            self._video = cv2.VideoCapture(self._name)
+            self._video = cv2.VideoCapture(self._name, cv2.CAP_ANY, _ONE_THREAD)
         if not self._video.isOpened():
             with path.open("rb") as file:
                 is_mp4 = file.read(8)[4:] == b"ftyp"
@@ -57,7 +58,7 @@ class VideoFrames(RawLog):
     def __iter__(self) -> Iterator[StoredFrame]:
         if not self._at_begin:  # of an earlier pass
             with warnings_to(warnings_file()):
-                self._video.open(self._name)
+                self._video.open(self._name, cv2.CAP_ANY, _ONE_THREAD)
         self._at_begin = False
         index, last_ns, rate = 0, -1, self.playback_hz
         damaged = list[int]()

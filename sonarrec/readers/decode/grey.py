@@ -359,7 +359,7 @@ def _of_level(levels: Levels, image: ByteImage, name: str, stated: Stated) -> Le
         return replace(levels, usual=level)
     if (
         255 - 2 * levels.usual < _DISTINCT
-        or 255 - levels.usual - level >= (level - levels.usual) / 2
+        or 255 - levels.usual - level >= (level - levels.usual) / 4
     ):
         return levels
     stated.note(
