@@ -136,7 +136,7 @@ def test_functions_give_what_commands_write(tmp_path: Path) -> None:
     site = sonarrec.map_landmarks(out / "a", tmp_path / "map")
     assert repr(site) == f"<map of {len(site.landmarks)} landmark from 1 log>"
     pd.testing.assert_frame_equal(site.landmarks, pd.read_csv(tmp_path / "map" / "map.csv"))
-    assert site.passes.log.tolist() == ["a"]
+    assert set(site.passes.log) == {"a"}
 
 
 def _claiming_nothing() -> Any:

@@ -285,18 +285,12 @@ def test_another_reading_is_told_where_it_explains_nearly_all(
 def test_of_a_truth_that_nothing_explains_is_told_what_was_seen(here: Path, pan: Path) -> None:
     """The truth of another recording was said to be some frames late."""
     sonarrec("simulate", "--scene", "paper", "--seed", "1", "--frames", "128", "-q", "-o", "sim")
-    shuffled = changed(
-        here / "gt.csv",
-        SAMPLES / "pan.gt.csv",
-        lambda row: {**polar(row), "landmark": {"1": "2", "3": "4"}[row["landmark"]]},
-    )
     other = changed(here / "other.csv", Path("sim/gt.csv"), polar)
-    for truth in (other, shuffled):
-        told = sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev", code=3).stderr
-        line = told.partition("\n")[0]
-        assert re.search(r"\b0 of \d+ rows on pan and 0 of \d+ claims of framework meet", line)
-        assert "clearly better" not in line
-        assert "frames earlier" not in line
+    told = sonarrec("evaluate", pan, "--ground-truth", other, "-o", "ev", code=3).stderr
+    line = told.partition("\n")[0]
+    assert re.search(r"\b0 of \d+ rows on pan and 0 of \d+ claims of framework meet", line)
+    assert "clearly better" not in line
+    assert "frames earlier" not in line
 
 
 def test_few_claims_that_are_right_by_chance_are_doubted(here: Path, pan: Path) -> None:
