@@ -11,7 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.random  # noqa: F401  # else imported while it draws, when a SIGTERM would be lost
+import numpy.random  # else imported while it draws, when a SIGTERM would be lost
 
 from sonarrec.errors import SonarrecError, UsageError, refuse_url
 from sonarrec.landmarks import load_landmarks
