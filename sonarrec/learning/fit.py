@@ -9,9 +9,8 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, rows_of
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3.reader import Pictures, Reader, Weights, sigmoid
+from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weights, sigmoid
 
-ADAPTED = ("lit", "disc", "other")
 # Weight of the prior, in frames: on the squared change of each weight, as the root mean square of
 # what it does to log beliefs. The frames of a track share a memory of 40 (features.memory_frames),
 # and say hardly more than one would.
@@ -54,7 +53,7 @@ def fit(
     spread = np.sqrt(np.mean(slopes**2, axis=(0, 1))) + LEAST_SPREAD
     change = _most_likely(logs, slopes / spread, label, prior_weight) / spread
     weights, start = dict(built_in), 0
-    for name in ADAPTED:
+    for name in LAST_LAYER:
         end = start + len(built_in[name])
         weights[name] = built_in[name] + change[start:end]
         start = end
@@ -62,7 +61,7 @@ def fit(
 
 
 def _linear(reader: Reader, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
-    """(n, K + 1) log beliefs by the reader, and (n, K + 1, D) their slopes along ADAPTED."""
+    """(n, K + 1) log beliefs by the reader, and (n, K + 1, D) their slopes along LAST_LAYER."""
     layers = reader.layers(pictures)
     reading = reader.reading(*layers)
     of_directions, of_object = (

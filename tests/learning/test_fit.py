@@ -7,10 +7,10 @@ import pytest
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.calibrate import _labelled
-from sonarrec.learning.fit import ADAPTED, _linear, fit
+from sonarrec.learning.fit import _linear, fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3.model_file import built_in_weights
-from sonarrec.recogniser.stage3.reader import Pictures, Reader, Weights
+from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weights
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, rotated_codes
 from sonarrec.truth.match import Truth
 
@@ -49,12 +49,12 @@ def log_likelihood(weights: Weights, samples: Samples) -> float:
     return float(np.log(p[np.arange(len(samples.label)), samples.label]).mean())
 
 
-@pytest.mark.parametrize("name", ADAPTED)
+@pytest.mark.parametrize("name", LAST_LAYER)
 def test_slopes_are_those_of_a_small_step_of_the_last_layer(name):
     """Of differences to a none of these, by which beliefs are told."""
     pictures, step = random_pictures(3, 5), 1e-4
     _, slopes = _linear(Reader(WEIGHTS, CODES), pictures)
-    start = sum(len(WEIGHTS[n]) for n in ADAPTED[: ADAPTED.index(name)])
+    start = sum(len(WEIGHTS[n]) for n in LAST_LAYER[: LAST_LAYER.index(name)])
     for i in range(0, len(WEIGHTS[name]), 7):
         logs = []
         for by in (-step, step):
@@ -71,7 +71,7 @@ def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
     together = fit(recordings, WEIGHTS, CODES)
     monkeypatch.setattr("sonarrec.learning.fit.AT_ONCE", 64)
     in_blocks = fit(recordings, WEIGHTS, CODES)
-    for name in ADAPTED:
+    for name in LAST_LAYER:
         np.testing.assert_allclose(in_blocks[name], together[name], atol=1e-5)
 
 

@@ -93,7 +93,7 @@ def _layers_in_double(pictures: Pictures) -> np.ndarray:
     """(n, ANGLES, C) tap by tap."""
     from sonarrec.recogniser.stage3 import reader
 
-    h = reader._steps(reader._inputs(pictures)).astype(float)
+    h = reader._steps(reader.direction_inputs(pictures)).astype(float)
     for i, (width, dilation) in enumerate(LAYERS):
         kernel = WEIGHTS[f"conv{i}"].reshape(width, h.shape[2], -1)
         new = WEIGHTS[f"conv{i}_bias"] + sum(

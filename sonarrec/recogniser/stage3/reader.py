@@ -2,17 +2,18 @@
 
 It says of each direction how likely the symbol is lit there, whether the object is a disc with a
 symbol, and whether that may be a symbol of no ID. Nothing about an ID is learned: beliefs follow
-from what is read and the codes of whatever set is used. Its layers run round the circle, so a
-rotated disc is read the same, rotated; the line of sight is an input.
+from what is read and the codes of whatever set is used. Its layers run round the circle, so that
+all directions are read by the same weights; where the line of sight lies is an input.
 
 With an ID's code c (0 or 1), the log odds l that a direction is lit, and a scale T:
 
     log p(ID) = D + log mean over rotations of exp(T sum over directions of (c l - log(1 + e^l)))
     log p(none) = log(1 + exp(D + O - T sum over directions of log(1 + e^-|l|)))
 
-The second is: no disc, or a disc with the symbol that is read, whatever that is.
+The second is the sum of two cases: no disc, and a disc with the symbol that is read.
 
-`make model` learns the weights (tests/studies/learning); `sonarrec calibrate` adapts LAST_LAYER.
+`make model` learns the weights (tests/studies/learning); `sonarrec calibrate` adapts
+those of LAST_LAYER.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ AROUND = [
 """The directions that each layer looks at, from each direction: (ANGLES, width)."""
 THETA = (np.arange(ANGLES) + 0.5) * STEP
 SIGHT = np.stack([np.cos(THETA), np.sin(THETA)], 1)
-LAST_LAYER = ("lit", "disc", "other", "scale")
+LAST_LAYER = ("lit", "disc", "other")
+"""The names of the weights of l, D and O; the last of each is a bias."""
 # Layers' inputs are rounded to multiples of 1 / INPUT_STEPS, weights to those of 1 / WEIGHT_STEPS.
 # Their products are then multiples of 2 ** -15, and sums below 512 are exact in single precision,
 # in whatever order a processor adds: the results are the same on all of them.
@@ -90,7 +92,7 @@ class Reader:
     every_frame: ClassVar = False  # see Reads in appearance.py
 
     def __init__(self, weights: Weights, codes: FloatArray) -> None:
-        """weights: from reader_model.py. codes: (ANGLES, K, ANGLES) from `rotated_codes`."""
+        """weights: from model_file.py. codes: (ANGLES, K, ANGLES) from `rotated_codes`."""
         self._weights = {name: values.astype(np.float32) for name, values in weights.items()}
         self.scale = float(np.exp(weights["scale"][0]))
         self._codes = codes.reshape(-1, ANGLES).T
@@ -98,12 +100,11 @@ class Reader:
 
     def __call__(self, pictures: Pictures) -> Reading:
         """Read n pictures. Objects do not affect each other."""
-        of_directions, of_object = self.layers(pictures)
-        return self.reading(of_directions, of_object)
+        return self.reading(*self.layers(pictures))
 
     def layers(self, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, C) and (n, H), what the last layer judges: each direction, and the object."""
-        w, h = self._weights, _steps(_inputs(pictures))
+        w, h = self._weights, _steps(direction_inputs(pictures))
         for i, around in enumerate(AROUND):
             taps = np.take(h, around, axis=1).reshape(len(h) * ANGLES, around.shape[1] * h.shape[2])
             new = taps @ w[f"conv{i}"]
@@ -111,9 +112,7 @@ class Reader:
             np.maximum(new, 0, out=new)
             new = new.reshape(len(h), ANGLES, new.shape[1])
             h = _steps(new + h if i else new)
-        existence = np.clip(pictures.existence, 1e-3, 1 - 1e-3)
-        given = [np.log(existence / (1 - existence)) / 3, pictures.smear * 5]
-        parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), np.stack(given, axis=1)]
+        parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), object_inputs(pictures)]
         of_object = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
         return h, _steps(np.maximum(of_object, 0))
 
@@ -155,7 +154,7 @@ def _steps(values: FloatArray) -> FloatArray:
     return np.asarray(np.rint(values * steps).astype(np.float32) / steps)
 
 
-def _inputs(pictures: Pictures) -> FloatArray:
+def direction_inputs(pictures: Pictures) -> FloatArray:
     """(n, ANGLES, 3 L + 5): each direction's cells, by contrast and by level, and how often they
     were seen; the direction; then what holds for the whole picture."""
     seen = pictures.count > 0
@@ -177,6 +176,12 @@ def _inputs(pictures: Pictures) -> FloatArray:
         np.broadcast_to(np.stack(of_picture, axis=1)[:, None], (*shape, len(of_picture))),
     ]
     return np.concatenate(parts, axis=2)
+
+
+def object_inputs(pictures: Pictures) -> FloatArray:
+    """(n, 2): the log odds of the object, and the smear."""
+    existence = np.clip(pictures.existence, 1e-3, 1 - 1e-3)
+    return np.stack([np.log(existence / (1 - existence)) / 3, pictures.smear * 5], axis=1)
 
 
 def _rotation(fit: FloatArray) -> tuple[FloatArray, FloatArray]:

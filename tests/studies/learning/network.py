@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,14 @@ import numpy as np
 import optax
 from numpy.random import Generator
 
-from sonarrec.arrays import BoolArray, FloatArray
-from sonarrec.recogniser.stage3.reader import LAYERS, SIGHT, THETA
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
+from sonarrec.recogniser.stage3.reader import (
+    LAYERS,
+    THETA,
+    Pictures,
+    direction_inputs,
+    object_inputs,
+)
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES
 from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
 
@@ -49,55 +56,40 @@ def begin(seed: int, inputs: int, widths: tuple[tuple[int, int], ...] = LAYERS) 
     }
 
 
-def log_beliefs(weights: Weights, batch: Examples, known: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(n, MOST_IDS + 1) log probabilities, and (n, ANGLES) log odds that a direction is lit.
+class Batch(NamedTuple):
+    """What one step learns from, n pictures. of_directions, of_object: the inputs of Reader.layers.
 
-    known: (n, MOST_IDS) whether the set has the ID.
+    codes, label, lit: as of Examples. known: (n, MOST_IDS) whether the set has the ID.
     """
-    h = _inputs(batch)
+
+    of_directions: FloatArray
+    of_object: FloatArray
+    codes: FloatArray
+    known: BoolArray
+    label: IntArray
+    lit: IntArray
+
+
+def log_beliefs(weights: Weights, batch: Batch) -> tuple[jax.Array, jax.Array]:
+    """(n, MOST_IDS + 1) log probabilities, and (n, ANGLES) log odds that a direction is lit."""
+    h = batch.of_directions
     for i, (width, dilation) in enumerate(LAYERS):
         taps = [jnp.roll(h, (width // 2 - j) * dilation, axis=1) for j in range(width)]
         new = jnp.concatenate(taps, 2) @ weights[f"conv{i}"] + weights[f"conv{i}_bias"]
         h = jax.nn.relu(new) + (h if i else 0)
     lit = h @ weights["lit"][:-1] + weights["lit"][-1]
-    existence = jnp.clip(batch.existence, 1e-3, 1 - 1e-3)
-    of_all = [h.mean(1), h.max(1), h.min(1)]
-    of_all += [(jnp.log(existence / (1 - existence)) / 3)[:, None], batch.smear[:, None] * 5]
-    hidden = jax.nn.relu(jnp.concatenate(of_all, 1) @ weights["hidden"] + weights["hidden_bias"])
+    parts = jnp.concatenate([h.mean(1), h.max(1), h.min(1), batch.of_object], 1)
+    hidden = jax.nn.relu(parts @ weights["hidden"] + weights["hidden_bias"])
     disc, other = (hidden @ weights[k][:-1] + weights[k][-1] for k in ("disc", "other"))
     scale = jnp.exp(weights["scale"])
-    turned = jnp.stack([jnp.roll(lit, -step, axis=1) for step in range(ANGLES)], 1)
-    fit = jnp.einsum("nra,nka->nkr", turned, batch.codes)
+    rotated = jnp.stack([jnp.roll(lit, -step, axis=1) for step in range(ANGLES)], 1)
+    fit = jnp.einsum("nra,nka->nkr", rotated, batch.codes)
     fit = scale * (fit - jax.nn.softplus(lit).sum(1)[:, None, None])
     ids = disc[:, None] + jax.nn.logsumexp(fit, axis=2) - np.log(ANGLES)
     free = disc + other - scale * jax.nn.softplus(-jnp.abs(lit)).sum(1)
-    logits = jnp.where(known, ids, -30.0)
-    logits = jnp.concatenate([logits, jnp.logaddexp(0.0, free)[:, None]], 1)
+    ids = jnp.where(batch.known, ids, -30.0)
+    logits = jnp.concatenate([ids, jnp.logaddexp(0.0, free)[:, None]], 1)
     return jax.nn.log_softmax(logits), lit
-
-
-def _inputs(batch: Examples) -> jax.Array:
-    """(n, ANGLES, inputs), as Reader has them."""
-    seen = (batch.count > 0).astype(jnp.float32)
-    x = jnp.where(seen > 0, batch.brightness, 0)
-    number = jnp.maximum(seen.sum((1, 2), keepdims=True), 1)
-    mean = (x * seen).sum((1, 2), keepdims=True) / number
-    spread = jnp.sqrt((((x - mean) * seen) ** 2).sum((1, 2), keepdims=True) / number + 1e-3)
-    lines = [
-        jnp.clip((x - mean) / spread, -4, 4) * seen,
-        jnp.clip(x, -6, 8) / 3 * seen,
-        jnp.minimum(batch.count, 8) / 8,
-    ]
-    whole = [jnp.log(spread[:, 0, 0]), mean[:, 0, 0] / 3, jnp.clip(batch.smear, 0, 0.5) * 5]
-    shape = len(x), ANGLES
-    return jnp.concatenate(
-        [
-            jnp.concatenate(lines, 1).transpose(0, 2, 1),
-            jnp.broadcast_to(jnp.asarray(SIGHT, jnp.float32), (*shape, 2)),
-            jnp.broadcast_to(jnp.stack(whole, 1)[:, None], (*shape, 3)),
-        ],
-        2,
-    )
 
 
 def learn(
@@ -107,10 +99,10 @@ def learn(
     weights = begin(seed, 3 * tracks.brightness.shape[1] + 5)
     optimiser = optax.adamw(optax.cosine_onecycle_schedule(steps, MOST_RATE), weight_decay=1e-4)
 
-    def loss(weights: Weights, batch: Examples, known: BoolArray) -> jax.Array:
-        logs, lit = log_beliefs(weights, batch, known)
+    def loss(weights: Weights, batch: Batch) -> jax.Array:
+        logs, lit = log_beliefs(weights, batch)
         log = logs[jnp.arange(BATCH), batch.label]
-        # Beliefs do not change if all that is read is turned. So where each direction's symbol is
+        # Beliefs do not change if all that is read is rotated. So where each direction's symbol is
         # known, that is learned as well.
         of_direction = jax.nn.log_sigmoid(jnp.where(batch.lit > 0, lit, -lit))
         of_direction = jnp.where(batch.lit == UNKNOWN, 0.0, of_direction)
@@ -119,17 +111,17 @@ def learn(
         ).mean()
 
     @jax.jit
-    def step(weights, averaged, state, batch, known, kept):  # type: ignore[no-untyped-def]
-        value, gradient = jax.value_and_grad(loss)(weights, batch, known)
+    def step(weights, averaged, state, batch, kept):  # type: ignore[no-untyped-def]
+        value, gradient = jax.value_and_grad(loss)(weights, batch)
         update, state = optimiser.update(gradient, state, weights)
         weights = optax.apply_updates(weights, update)
         averaged = jax.tree.map(lambda a, b: kept * a + (1 - kept) * b, averaged, weights)
         return weights, averaged, state, value
 
     state, averaged, total = optimiser.init(weights), weights, 0.0
-    for i, (batch, known) in enumerate(_batches(tracks, drawn, seed, steps)):
+    for i, batch in enumerate(_batches(tracks, drawn, seed, steps)):
         kept = KEPT if i > 200 else 0.0
-        weights, averaged, state, value = step(weights, averaged, state, batch, known, kept)
+        weights, averaged, state, value = step(weights, averaged, state, batch, kept)
         total += float(value)
         if i % 500 == 499:
             print(f"step {i + 1}: {total / 500:.4f}", flush=True)
@@ -137,18 +129,16 @@ def learn(
     return {name: np.asarray(value) for name, value in averaged.items()}
 
 
-def _batches(
-    tracks: Examples, drawn: Examples, seed: int, steps: int
-) -> Iterator[tuple[Examples, BoolArray]]:
+def _batches(tracks: Examples, drawn: Examples, seed: int, steps: int) -> Iterator[Batch]:
     rng = np.random.default_rng(seed)
     parts = tracks, drawn
-    likely = [np.cumsum(part.weight) / part.weight.sum() for part in parts]
+    likely = [np.cumsum(part.weight) for part in parts]
     is_disc = tracks.label < MOST_IDS
     discs, others = tracks.existence[is_disc], tracks.existence[~is_disc]
     split = round(BATCH * (1 - DRAWN_SHARE))
     for _ in range(steps):
         chosen = [
-            np.searchsorted(p, rng.random(n))
+            np.searchsorted(p, p[-1] * rng.random(n))
             for p, n in zip(likely, (split, BATCH - split), strict=True)
         ]
         batch = Examples(
@@ -162,7 +152,8 @@ def _batches(
         n = BATCH - split
         batch.existence[split:] = np.where(likely_disc, rng.choice(discs, n), rng.choice(others, n))
         batch = _mirrored(batch, rng)
-        worse, count = harmed(batch.brightness.astype(np.float32), batch.count, rng)
+        harm = harmed(batch.brightness.astype(np.float32), batch.count, rng)
+        pictures = Pictures(*harm, batch.existence, batch.smear)
         known = np.arange(MOST_IDS) < batch.ids[:, None]
         label = batch.label.copy()
         out = (rng.random(BATCH) < LEFT_OUT) & (label < MOST_IDS)
@@ -170,14 +161,13 @@ def _batches(
         label[out] = MOST_IDS
         # Sets of fewer IDs.
         known &= (rng.random(known.shape) > 0.15) | (np.arange(MOST_IDS) == label[:, None])
-        yield (
-            batch._replace(
-                brightness=worse,
-                count=count.astype(np.float32),
-                codes=batch.codes.astype(np.float32),
-                label=label,
-            ),
+        yield Batch(
+            direction_inputs(pictures).astype(np.float32),
+            object_inputs(pictures).astype(np.float32),
+            batch.codes.astype(np.float32),
             known,
+            label,
+            batch.lit,
         )
 
 
