@@ -113,6 +113,6 @@ def joined(parts: Sequence[Record]) -> Record:
     )
 
 
-def rows_of(record: Record, which: BoolArray | IntArray | slice) -> Record:
+def selected(record: Record, which: BoolArray | IntArray | slice) -> Record:
     """The record's rows that a mask, indices or a slice choose, of each field."""
     return type(record)(*(getattr(record, f.name)[which] for f in fields(record)))

@@ -204,7 +204,7 @@ class Estimate:
     declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
     orientation_sigma_deg: standard errors, NaN if the method has none. sight_deg, in_view: as in
     Groups. episode: as in Evidence. enough_evidence: as in Beliefs. These four are not written.
-    read: what stage 3 read of the symbol, a digit for each direction (see symbol_digits), or "".
+    read: the symbol as stage 3 read it, a digit for each direction as columns.csv says, or "".
     corners: of a drawn plate that was seen, (4, 2) slant range (m) and bearing (deg), clockwise in
     the image from the far left on.
     """

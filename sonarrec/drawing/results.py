@@ -28,8 +28,8 @@ from sonarrec.records import Estimate, Fan, is_date, time_text
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn, so that estimates do not hide it."""
-READ = 1.3
-"""Radius, in discs, at which the symbol is drawn that was read."""
+SYMBOL, READ = 1.3, 1.45
+"""Radii, in discs, at which the ID's symbol is drawn, and the one that was read."""
 TRAIL_FRAMES = 20
 STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
@@ -115,10 +115,12 @@ def draw_frame(
             pen.line(paths[e.object], colour, 1)
         outline = outline_of(e, fan, landmarks)
         pen.line(outline, colour, 2 if e.declared else 1, closed=True)
-        around = outline.mean(axis=0) + AROUND * (outline - outline.mean(axis=0))
-        pen.label(caption(e, landmarks, score=score), around, colour)
-        if e.declared and len(e.read) > 1 and np.isfinite(e.orientation_deg):
+        farthest = AROUND
+        if e.declared and e.read and np.isfinite(e.orientation_deg):
             _draw_symbols(pen, e, fan, landmarks, colour)
+            farthest = READ
+        around = outline.mean(axis=0) + farthest * (outline - outline.mean(axis=0))
+        pen.label(caption(e, landmarks, score=score), around, colour)
     for mark in truth:
         outline = disc_outline(fan, AROUND * landmarks.radius_m, mark.x_px, mark.y_px)
         pen.dashes(outline, TRUTH)
@@ -137,7 +139,7 @@ def _draw_symbols(
     code = landmarks.codes((middle + sight - orientation) % (2 * np.pi))
     read = np.frombuffer(estimate.read.encode(), np.uint8) - ord("0")
     rows = (
-        (code[landmarks.ids.index(estimate.landmark)] > 0.5, AROUND, colour),
+        (code[landmarks.ids.index(estimate.landmark)] > 0.5, SYMBOL, colour),
         (read > 4, READ, TRUTH),
     )
     for lit, radius, ink in rows:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray, rows_of
+from sonarrec.arrays import BoolArray, FloatArray, IntArray, selected
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
 from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weights, sigmoid
@@ -51,7 +51,8 @@ def fit(
     )
     # A change counts by what it does to beliefs, for the layers' results differ in size.
     spread = np.sqrt(np.mean(slopes**2, axis=(0, 1))) + LEAST_SPREAD
-    change = _most_likely(logs, slopes / spread, label, prior_weight) / spread
+    slopes /= spread
+    change = _most_likely(logs, slopes, label, prior_weight) / spread
     weights, start = dict(built_in), 0
     for name in LAST_LAYER:
         end = start + len(built_in[name])
@@ -62,11 +63,8 @@ def fit(
 
 def _linear(reader: Reader, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
     """(n, K + 1) log beliefs by the reader, and (n, K + 1, D) their slopes along LAST_LAYER."""
-    layers = reader.layers(pictures)
-    reading = reader.reading(*layers)
-    of_directions, of_object = (
-        np.concatenate([v, np.ones((*v.shape[:-1], 1))], -1) for v in layers
-    )
+    of_directions, of_object = reader.layers(pictures)
+    reading = reader.reading(of_directions, of_object)
     lit, scale = reading.lit, reader.scale
     ids = reading.rotation.shape[1]
     free = sigmoid(reading.free)[:, None]  # the share of 'none' that is a free symbol
@@ -109,7 +107,7 @@ def _most_likely(
                 break
             expected = np.einsum("nk,nkd->nd", p, slopes)
             gradient = slopes[np.arange(n), label].sum(axis=0) - expected.sum(axis=0)
-            weighted = (slopes * np.sqrt(p)[..., None]).reshape(-1, size)
+            weighted = (slopes * np.sqrt(p, dtype=np.float32)[..., None]).reshape(-1, size)
             curvature = weighted.T @ weighted - expected.T @ expected
             step = np.linalg.solve(
                 curvature + prior_weight * np.eye(size), gradient - prior_weight * change
@@ -120,4 +118,4 @@ def _most_likely(
 
 def part_of(samples: Samples, which: BoolArray | slice) -> Samples:
     """The samples that an (n,) mask or a slice chooses."""
-    return Samples(rows_of(samples.pictures, which), samples.label[which], samples.track[which])
+    return Samples(selected(samples.pictures, which), samples.label[which], samples.track[which])

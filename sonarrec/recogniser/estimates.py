@@ -139,7 +139,7 @@ class Estimates:
 
 
 def _digits(lit: FloatArray, left_deg: FloatArray) -> list[str]:
-    """What was read as text, of n objects: see Estimate.
+    """What was read as text, of n objects, each as `read` in estimates.csv.
 
     lit: (n, ANGLES) as in Beliefs. left_deg: (n,) how far the matrix is rotated from the line of
     sight, less than a step.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import stat
 import sys
 from collections import defaultdict
@@ -63,6 +64,7 @@ from sonarrec.tables.read import (
     read_tables,
 )
 
+_READ = re.compile("[0-9]{36}")  # the column `read`
 ROWS = 2_000
 """Of estimates.csv, read at a time."""
 SIGMAS = ("range_sigma_m", "bearing_sigma_deg", "orientation_sigma_deg")
@@ -359,7 +361,8 @@ def _estimates_in(
         in_table = np.column_stack([table[name] for name in columns])
         complete = np.isfinite(in_table).all(axis=1)
         beliefs[complete] = in_table[complete]
-    symbols = [text if isinstance(text, str) else "" for text in table.get("read", blank)]
+    # Other programs may have a column of this name.
+    symbols = [text if _READ.fullmatch(str(text)) else "" for text in table.get("read", blank)]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
     of_estimates = {
         **positions(table, fan),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -152,3 +153,19 @@ def test_strip_has_probability_upwards_and_time_to_the_right() -> None:
     assert middle(0.5, 30)[1] == pytest.approx(wide * 29 / 59, abs=4)
     # What is older than the strip has left it.
     assert middle(0.5, STRIP_FRAMES)[1] == pytest.approx(middle(0.5, 3 * STRIP_FRAMES)[1], abs=5)
+
+
+def test_the_symbol_that_was_read_is_drawn_where_it_lies() -> None:
+    """In white, outside the ID's own: nine directions from the line of sight on, and no others."""
+    x, y = at(FAN, 2.0, 0.0)
+    found = replace(estimate(x, y), orientation_deg=90.0, read="9" * 9 + "0" * 27)
+    image = np.zeros((FAN.rows, FAN.columns), np.uint8)
+    picture = draw_frame(image, FAN, BASIN, [found])
+    scale = picture.shape[0] // FAN.rows
+    off = painted(picture, (255, 255, 255)) - np.array([x, y]) * scale
+    assert len(off) > 20
+    angle = np.degrees(np.arctan2(-off[:, 1], off[:, 0])) % 360
+    assert ((angle > 85) & (angle < 185)).all()
+    assert not len(
+        painted(draw_frame(image, FAN, BASIN, [replace(found, read="")]), (255, 255, 255))
+    )

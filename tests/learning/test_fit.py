@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,17 @@ def test_slopes_are_those_of_a_small_step_of_the_last_layer(name):
         np.testing.assert_allclose(
             slopes[:, :, start + i], (logs[1] - logs[0]) / (2 * step), rtol=0.02, atol=0.02
         )
+
+
+@pytest.mark.slow
+def test_memory_of_learning_is_little_more_than_the_samples():
+    """8,000 samples are 12 MB, and what they say of each weight 16 MB, a few times over."""
+    samples = drawn(WEIGHTS, 8_000, 5)
+    tracemalloc.start()
+    fit([samples], WEIGHTS, CODES)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
 
 
 def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.arrays import rows_of
+from sonarrec.arrays import selected
 from sonarrec.errors import UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights, read_model
@@ -59,9 +59,8 @@ def test_beliefs_are_those_of_the_formulas_written_out(seed: int) -> None:
     pictures = random_pictures(seed, 1)
     of_directions, of_object = READ.layers(pictures)
     reading = READ.reading(of_directions, of_object)
-    last = {name: WEIGHTS[name] for name in ("lit", "disc", "other")}
-    lit = [float(d @ last["lit"][:-1] + last["lit"][-1]) for d in of_directions[0]]
-    disc, other = (float(of_object[0] @ last[n][:-1] + last[n][-1]) for n in ("disc", "other"))
+    lit = [float(d @ WEIGHTS["lit"]) for d in of_directions[0]]
+    disc, other = (float(of_object[0] @ WEIGHTS[name]) for name in ("disc", "other"))
     scale = math.exp(WEIGHTS["scale"][0])
     np.testing.assert_allclose(reading.lit[0], lit, atol=1e-4)
     for k in range(4):
@@ -84,9 +83,9 @@ def test_beliefs_are_those_of_the_formulas_written_out(seed: int) -> None:
 def test_sums_are_exact_in_single_precision_so_their_order_cannot_matter(seed: int) -> None:
     """The layers written out in double precision give the same bits."""
     pictures = random_pictures(seed)
-    every, _ = READ.layers(pictures)
-    captured = _layers_in_double(pictures)
-    assert (every == captured).all()
+    of_directions, _ = READ.layers(pictures)
+    seen = (pictures.count[:, :3] > 0).any(axis=1)
+    assert (of_directions[..., :-1][seen] == _layers_in_double(pictures)[seen]).all()
 
 
 def _layers_in_double(pictures: Pictures) -> np.ndarray:
@@ -113,7 +112,7 @@ def test_neither_what_was_never_seen_nor_other_objects_matter(seed: int) -> None
     order = np.array([2, 0, 1])
     for other, rows in (
         (replace(pictures, brightness=unseen), slice(None)),
-        (rows_of(pictures, order), order),
+        (selected(pictures, order), order),
     ):
         again = READ(other)
         for field in fields(known):
@@ -151,6 +150,16 @@ def test_a_perfect_landmark_is_read_direction_by_direction(landmark: int, turn: 
     period = 18 if landmark == 2 else 36
     off = (reading.rotation[0, landmark - 1] - turn + period / 2) % period - period / 2
     assert abs(off) < 1
+
+
+def test_a_direction_of_which_nothing_was_seen_says_nothing() -> None:
+    """Half of a landmark beyond the fan's edge: IDs that agree with the other half stay."""
+    pictures = drawn(1, 0)  # lit in the first quarter
+    pictures.count[:, :, ANGLES // 2 :] = 0
+    reading = READ(pictures)
+    assert (reading.lit[0, ANGLES // 2 :] == 0).all()
+    assert (reading.lit[0, 1:8] > 0).all()
+    assert reading.probabilities[0, 3] < 0.2  # ID.4 has one dark quarter only
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))

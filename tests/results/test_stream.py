@@ -30,8 +30,8 @@ def test_estimates_come_back_as_written(tmp_path: Path) -> None:
 def test_estimates_of_another_program(tmp_path: Path) -> None:
     path = csv_file(
         tmp_path / "e.csv",
-        "frame,method,range_m,bearing_deg,landmark,score,declared",
-        "4,yolo,2.0,5.0,3,0.8,True",
+        "frame,method,range_m,bearing_deg,landmark,score,declared,read",
+        "4,yolo,2.0,5.0,3,0.8,True,by Ann",
     )
     assert choose_method(path, None) == "yolo"
     [(frame, [found])] = read_estimates(path, "yolo", BASIN, FAN)
@@ -39,6 +39,7 @@ def test_estimates_of_another_program(tmp_path: Path) -> None:
     assert (found.x_px, found.y_px) == pytest.approx(at(FAN, 2.0, 5.0))
     np.testing.assert_allclose(found.probabilities, [0, 0, 0.8, 0, 0.2])
     assert found.object < 0  # and so it has no trail
+    assert found.read == ""  # theirs is something else
 
 
 HEAD = "frame,method,x_px,y_px,landmark,score,declared"

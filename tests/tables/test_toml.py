@@ -33,7 +33,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "seed": (lambda path: configs(path=path), "", "seed"),
     "sonar": (load_sonar, "[sonar]\n", "sonar.tilt_deg"),
     "sonar's list": (load_sonar, "[sonar]\n", "sonar.bearings_deg"),
-    "model": (read_model, MODEL[: MODEL.index("scale")], "scale"),
+    "model": (read_model, MODEL[: MODEL.index("other")], "other"),
     "landmarks": (load_landmarks, SET.replace("radius_m = 1\n", ""), "radius_m"),
     "landmark": (load_landmarks, SET + "[[landmark]]\nsectors = [1, 0]\n", "id"),
     "scene": (load_scene, "", "frames"),

@@ -14,7 +14,7 @@ from sonarrec.readers.raw import RawLog, StoredFrame
 
 _CUES, _CLUSTER = b"\x1c\x53\xbb\x6b", b"\x1f\x43\xb6\x75"  # elements of Matroska
 _TAIL_BYTES = 2**20
-_ONE_THREAD = [cv2.CAP_PROP_N_THREADS, 1]  # others warn of a frame at another one
+_ONE_THREAD = [cv2.CAP_PROP_N_THREADS, 1]  # else a warning may come while another frame is read
 VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm"})
 
 

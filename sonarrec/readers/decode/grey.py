@@ -344,9 +344,9 @@ def grey_of(
             )
         levels = replace(levels, scales={**levels.scales, grey.dtype: scale})
     image = to_grey8(grey, scale)
-    return levels if levels.is_reversed or levels.strayed else _of_level(
-        levels, image, frame.name, stated
-    ), image
+    if not (levels.is_reversed or levels.strayed):
+        levels = _of_level(levels, image, frame.name, stated)
+    return levels, image
 
 
 def _of_level(levels: Levels, image: ByteImage, name: str, stated: Stated) -> Levels:

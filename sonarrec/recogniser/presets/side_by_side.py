@@ -217,9 +217,8 @@ def stages_of(
     smi: str | None,
     poses: PoseTable | None,
 ) -> ThreeStages:
-    """The three stages for the set's kind of landmark. model: of the
-    reader, by default the built-in one. The other arguments are those of DiscStages.
-    """
+    """The three stages for the set's kind of landmark. model: the weights of the reader, None for
+    the built-in ones. The other arguments are those of DiscStages."""
     if isinstance(landmarks, DrawnSet):  # plates have no single-frame method
         # Imported where it is needed: most sets are of discs, and it takes a while.
         from sonarrec.recogniser.drawn.three_stages import PlateStages

@@ -18,6 +18,7 @@ from sonarrec.recogniser.stage3.reader import (
     Pictures,
     direction_inputs,
     object_inputs,
+    seen_directions,
 )
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES
 from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
@@ -59,11 +60,13 @@ def begin(seed: int, inputs: int, widths: tuple[tuple[int, int], ...] = LAYERS) 
 class Batch(NamedTuple):
     """What one step learns from, n pictures. of_directions, of_object: the inputs of Reader.layers.
 
-    codes, label, lit: as of Examples. known: (n, MOST_IDS) whether the set has the ID.
+    seen: (n, ANGLES) as seen_directions. codes, label, lit: as of Examples. known: (n, MOST_IDS)
+    whether the set has the ID.
     """
 
     of_directions: FloatArray
     of_object: FloatArray
+    seen: BoolArray
     codes: FloatArray
     known: BoolArray
     label: IntArray
@@ -77,7 +80,7 @@ def log_beliefs(weights: Weights, batch: Batch) -> tuple[jax.Array, jax.Array]:
         taps = [jnp.roll(h, (width // 2 - j) * dilation, axis=1) for j in range(width)]
         new = jnp.concatenate(taps, 2) @ weights[f"conv{i}"] + weights[f"conv{i}_bias"]
         h = jax.nn.relu(new) + (h if i else 0)
-    lit = h @ weights["lit"][:-1] + weights["lit"][-1]
+    lit = jnp.where(batch.seen, h @ weights["lit"][:-1] + weights["lit"][-1], 0.0)
     parts = jnp.concatenate([h.mean(1), h.max(1), h.min(1), batch.of_object], 1)
     hidden = jax.nn.relu(parts @ weights["hidden"] + weights["hidden_bias"])
     disc, other = (hidden @ weights[k][:-1] + weights[k][-1] for k in ("disc", "other"))
@@ -164,6 +167,7 @@ def _batches(tracks: Examples, drawn: Examples, seed: int, steps: int) -> Iterat
         yield Batch(
             direction_inputs(pictures).astype(np.float32),
             object_inputs(pictures).astype(np.float32),
+            seen_directions(pictures),
             batch.codes.astype(np.float32),
             known,
             label,

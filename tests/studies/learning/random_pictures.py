@@ -20,13 +20,13 @@ from numpy.random import Generator
 
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, ShapeSampler
+from sonarrec.recogniser.stage3.reader import THETA
+from sonarrec.recogniser.stage3.shape_matrix import ANGLES, ShapeSampler
 from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
 
 SIZE, RADIUS = 48, 14.0  # of a picture and of the disc in it, in pixels
 CENTRE = (SIZE - 1) / 2
 ROWS, COLUMNS = np.mgrid[:SIZE, :SIZE].astype(np.float32)
-THETA = (np.arange(ANGLES) + 0.5) * STEP
 BASIN = load_landmarks("basin")
 UNLIKE = 0.13  # a stranger's symbol differs from every ID's in at least this share of directions
 LEAST_RING = 0.15  # its contrast in a picture, as stage 1 offers it, in standard deviations
