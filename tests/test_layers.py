@@ -35,7 +35,7 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "cli": 2890,
-    "drawing": 733,
+    "drawing": 735,
     "evaluation": 3930,
     "geometry": 415,
     "learning": 556,
