@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -56,6 +56,11 @@ def as_usage() -> Iterator[None]:
 def number_of(count: int, noun: str, ending: str = "s") -> str:
     """A count and its noun, such as "1 log" and "2 logs"; ending: of the plural."""
     return f"{count} {noun}{'' if count == 1 else ending}"
+
+
+def listed(names: Sequence[object], most: int) -> str:
+    """The first so many names, and whether there are more."""
+    return ", ".join(map(str, names[:most])) + (", ..." if len(names) > most else "")
 
 
 def command_line(*words: object) -> str:
@@ -189,9 +194,8 @@ class Diagnostics:
         for of_kind in self._faults.values():
             first, *others = [*of_kind]
             lines += [first, *others[: MOST_OF_A_KIND - 1]]
-            if more := len(of_kind) - MOST_OF_A_KIND:
-                where = f"{first.partition(': ')[0]}: "
-                lines += [f"{where}{more} more of this kind"] * (more > 0)
+            if (more := len(of_kind) - MOST_OF_A_KIND) > 0:
+                lines.append(f"{first.partition(': ')[0]}: {more} more of this kind")
         return lines
 
     @property

@@ -34,20 +34,20 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2890,
+    "cli": 2891,
     "drawing": 735,
     "evaluation": 3930,
     "geometry": 415,
     "learning": 556,
-    "mapping": 1392,
+    "mapping": 1395,
     "overlays": 547,
     "readers": 6258,
     "recogniser": 6441,
     "reports": 2126,
     "results": 1956,
     "runs": 1766,
-    "simulation": 2505,
-    "tables": 1012,
+    "simulation": 2508,
+    "tables": 1015,
     "truth": 1269,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

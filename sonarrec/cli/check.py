@@ -125,7 +125,8 @@ def check(
                 judged, target = _judge(one, compared, limits), out and below(out, "evaluation")
                 if len(of_set) > 1:
                     target = target and target / name
-                    say(*[f"landmarks {name}"] * (not quiet))
+                    if not quiet:
+                        say(f"landmarks {name}")
                 _print(judged, compared, target, quiet)
                 partial = partial or bool(compared.unused or (new and not update))
                 worse += [] if update else judged.faults

@@ -157,8 +157,8 @@ def _worst(
     of_first = [m for m in found.counts.mistakes if m.method == first]
     wrong = [m for m in of_first if not m.at_start][:most]
     if not wrong:
-        more = " but in the first frame, in which no track is declared" * bool(of_first)
-        lines.append(f"{first}: no mistake{more}, so nothing is drawn; --method chooses another")
+        but = " but in the first frame, in which no track is declared" if of_first else ""
+        lines.append(f"{first}: no mistake{but}, so nothing is drawn; --method chooses another")
     logs = zip(found.folders, found.truths, found.counts.logs, strict=True)
     targets = [(f, t, [m for m in wrong if m.log == log]) for f, t, log in logs]
     return [target for target in targets if target[-1]]

@@ -288,7 +288,7 @@ def stoppable(folders: Sequence[Path]) -> Iterator[None]:
         from sonarrec.results.folders import part_of
 
         parts = ", ".join(name_as_text(part_of(f)) for f in folders if part_of(f).is_dir())
-        print_notes(["stopped" + f"; the frames so far are in {parts}" * bool(parts)])
+        print_notes([f"stopped; the frames so far are in {parts}" if parts else "stopped"])
         leave(TERMINATED if isinstance(error, Terminated) else INTERRUPTED)
 
 
@@ -351,7 +351,7 @@ def found_in(outcome: Outcome, folder: str | Path) -> list[str]:
 
     folder: where sightings.csv has them.
     """
-    again = "up to date, " * outcome.up_to_date
+    again = "up to date, " if outcome.up_to_date else ""
     lines = [f"{folder}: {again}{number_of(outcome.frames, 'frame')}"]
     for method, count in outcome.passes.items():
         lines += [f"  {method}:"] if len(outcome.passes) > 1 else []

@@ -63,17 +63,17 @@ def distances(landmarks: LandmarkSet, beam_m: float) -> list[Distance]:
     nearest = np.argsort(differ[first, second], kind="stable")[:MOST_PAIRS]
     pairs = np.stack([first, second], axis=1)[nearest].tolist()
     views = {k: _as_seen(landmarks, k, beam_m) for k in sorted({k for pair in pairs for k in pair})}
-    found = []
+    separations = []
     for a, b in pairs:
         # One of the two is rotated against the other. Discs, which have more than four rotations,
         # are both rotated against the line of sight as well: 180 degrees of both change nothing.
         fixed, free = views[a][: 180 // ROTATION_STEP_DEG : 3], views[b]
         if isinstance(landmarks, DrawnSet):
             fixed, free = views[b][:1], views[a]
-        seen = min(float(((one - free) ** 2).sum(axis=1).min()) for one in fixed)
+        seen = min(float(((view - free) ** 2).sum(axis=1).min()) for view in fixed)
         ids, share = (landmarks.ids[a], landmarks.ids[b]), float(differ[a, b])
-        found.append(Distance(ids, share, min(seen, share)))
-    return sorted(found, key=lambda d: (round(d.seen, 6), d.drawn, d.ids))
+        separations.append(Distance(ids, share, min(seen, share)))
+    return sorted(separations, key=lambda d: (round(d.seen, 6), d.drawn, d.ids))
 
 
 def _as_drawn(landmarks: LandmarkSet) -> Iterator[FloatArray]:
@@ -135,12 +135,12 @@ def _smeared(plate: np.ndarray, beam_m: float, landmarks: DrawnSet) -> FloatImag
 
 def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[str]:
     """What makes a set hard to recognise, a few words each. near: from `distances`."""
-    found, of_what, least, least_seen = [], "an eighth of their symbol", NEAR, NEAR_SEEN
+    reasons, of_what, least, least_seen = [], "an eighth of their symbol", NEAR, NEAR_SEEN
     if isinstance(landmarks, DrawnSet):
         of_what, least, least_seen = "6% of their cells", PLATES_NEAR, PLATES_NEAR_SEEN
         share = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m / max(beam_m, 1e-9)
         if share < 1:
-            found.append(
+            reasons.append(
                 f"beams are {1000 * beam_m:.0f} mm wide there, too wide for the plates: no ID is "
                 f"read beyond {share:.2f} of this range"
             )
@@ -152,8 +152,8 @@ def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[
     ):
         pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in similar[:3])
         more = f" and {len(similar) - 3} more pairs" if len(similar) > 3 else ""
-        found += [f"IDs {pairs}{more} {how}"] if similar else []
-    return found
+        reasons += [f"IDs {pairs}{more} {how}"] if similar else []
+    return reasons
 
 
 def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:

@@ -64,10 +64,10 @@ class SiteMap:
         """The logs that have common axes: all with poses, else each path alone."""
         return [self.logs] if self.logs[0].path.from_poses else [[log] for log in self.logs]
 
-    def path_of(self, one: Pass) -> int:
+    def path_of(self, seen: Pass) -> int:
         """The number of the part in whose axes a pass lies, from 1."""
         own = ([log.path for log in logs] for logs in self.parts)
-        return next(n for n, paths in enumerate(own, 1) if one.path in paths)
+        return next(n for n, paths in enumerate(own, 1) if seen.path in paths)
 
     def position(self, position: FloatArray) -> FloatArray:
         """(..., 2) positions in the poses' axes, m."""
@@ -111,12 +111,12 @@ def make_map(
     if landmarks is not None:
         load_landmarks(landmarks)  # so that a fault is not one of each log
     diagnostics, copies = Diagnostics(), Diagnostics()
-    found = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
+    folders = list(dict.fromkeys(log for folder in results for log in find_logs(folder)))
     logs, used = list[MappedLog](), list[Path]()
     landmark_set: LandmarkSet | None = None
     given = None if odometry is None else read_poses(odometry)
     once = CountedOnce("used", copies)
-    for folder in found:
+    for folder in folders:
         try:
             run = read_run(folder / "run.toml")
             own_set = run.landmark_set(landmarks)
@@ -129,7 +129,7 @@ def make_map(
             poses = given or _poses_of_run(folder, run)
             parts = _read_log(folder, run, own_set, poses, drift, method, sonar)
         except SonarrecError as error:
-            if len(found) == 1:
+            if len(folders) == 1:
                 raise
             diagnostics.problem(str(error))
             continue
@@ -145,15 +145,15 @@ def make_map(
             "poses with --odometry, or map the logs one by one"
         )
     diagnostics.note(*outdated(used))
-    for of in (*(log.diagnostics for log in logs), copies):
-        diagnostics.note(*of.notes)
-        diagnostics.problem(*of.problems)
+    for source in (*(log.diagnostics for log in logs), copies):
+        diagnostics.note(*source.notes)
+        diagnostics.problem(*source.problems)
     # Without poses each path has axes of its own.
     of_axes = [[log] for log in logs] if alone else [logs]
     kept, left_out = list[Landmark](), 0
     for part in of_axes:
         found_there = join(part, landmark_set)
-        clear = [one for one in found_there if frames_of(one.members) >= min_frames]
+        clear = [landmark for landmark in found_there if frames_of(landmark.members) >= min_frames]
         for i, k in moved(clear, landmark_set):
             distance_m = math.dist(clear[i].position, clear[k].position)
             diagnostics.note(
@@ -163,11 +163,11 @@ def make_map(
             )
         left_out += len(found_there) - len(clear)
         kept += clear
-    for number, one in enumerate(kept, 1):
-        if (others := frames_of(one.others)) >= min_frames:
+    for number, landmark in enumerate(kept, 1):
+        if (others := frames_of(landmark.others)) >= min_frames:
             diagnostics.note(
-                f"landmark {number} (ID.{one.id}): other claims within a disc of it in {others} "
-                "frames; was it moved, or misread? (other_frames of map.csv)"
+                f"landmark {number} (ID.{landmark.id}): other claims within a disc of it in "
+                f"{others} frames; was it moved, or misread? (other_frames of map.csv)"
             )
     ros_axes = all(log.ros_axes for log in logs)
     return SiteMap(landmark_set, kept, left_out, logs, len(used), diagnostics, ros_axes)
@@ -212,7 +212,7 @@ def _read_log(
         diagnostics.problem(cut_short(str(folder), len(frames["frame"]), "used"))
     elif changed := tables_changed(folder, run.input):
         diagnostics.problem(*(f"{folder}: {line}" for line in changed))
-    used = sum(len(one.row) for log in logs for one in log.passes)
+    used = sum(len(seen.row) for log in logs for seen in log.passes)
     if used < declared.rows:
         diagnostics.problem(
             f"{folder}: {declared.rows - used} of {declared.rows} declared estimates left out: no "

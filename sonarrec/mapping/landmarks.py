@@ -145,14 +145,14 @@ def read_declared(
             )
         for name in wanted:
             parts[name].append(rows[name])
-    found = {name: np.concatenate(of_name) for name, of_name in parts.items()}
-    sigma = np.stack([found[name] for name in SIGMAS], axis=1)
+    columns = {name: np.concatenate(of_name) for name, of_name in parts.items()}
+    sigma = np.stack([columns[name] for name in SIGMAS], axis=1)
     return DeclaredEstimates(
-        row=np.searchsorted(frame, found["frame"].astype(np.int64)),
-        landmark=found["landmark"].astype(np.int64),
-        track=found["object"].astype(np.int64),
-        score=found["score"],
-        polar=np.stack([found[name] for name in POLAR], axis=1),
+        row=np.searchsorted(frame, columns["frame"].astype(np.int64)),
+        landmark=columns["landmark"].astype(np.int64),
+        track=columns["object"].astype(np.int64),
+        score=columns["score"],
+        polar=np.stack([columns[name] for name in POLAR], axis=1),
         sigma=np.where(sigma > 0, sigma, UNSTATED),
         rows=count,
     )
@@ -161,10 +161,10 @@ def read_declared(
 def on_path(estimates: DeclaredEstimates, first: int, path: SonarPath) -> DeclaredEstimates:
     """The estimates in the frames of a path, whose first one has this index among all."""
     row = estimates.row - first
-    there = (row >= 0) & (row < len(path.frame))
+    on_it = (row >= 0) & (row < len(path.frame))
     names = "landmark", "track", "score", "polar", "sigma"
-    columns = {name: getattr(estimates, name)[there] for name in names}
-    return replace(estimates, row=row[there], **columns)
+    columns = {name: getattr(estimates, name)[on_it] for name in names}
+    return replace(estimates, row=row[on_it], **columns)
 
 
 def find_passes(
@@ -182,11 +182,11 @@ def find_passes(
     begins = pass_begins(path.frame[row], path.stretch[row], landmark, track)
     periods_deg = dict(zip(landmarks.ids, landmarks.periods_deg().tolist(), strict=True))
     passes = [
-        _placed(estimates, one, path, periods_deg[int(estimates.landmark[one[0]])], fan)
-        for one in np.split(order, np.flatnonzero(begins)[1:])
-        if len(one)
+        _placed(estimates, rows, path, periods_deg[int(estimates.landmark[rows[0]])], fan)
+        for rows in np.split(order, np.flatnonzero(begins)[1:])
+        if len(rows)
     ]
-    return sorted(passes, key=lambda found: int(found.row[0]))
+    return sorted(passes, key=lambda seen: int(seen.row[0]))
 
 
 def _placed(
@@ -292,25 +292,29 @@ def join(logs: Sequence[MappedLog], landmark_set: LandmarkSet) -> list[Landmark]
     that was moved is two landmarks (see `moved`).
     """
     disc_m = ONE_DISC * 2 * landmark_set.radius_m
-    found: list[Landmark] = []
+    landmarks: list[Landmark] = []
     for number, period_deg in zip(
         landmark_set.ids, landmark_set.periods_deg().tolist(), strict=True
     ):
-        passes = [one for log in logs for one in log.passes if one.landmark == number]
+        passes = [seen for log in logs for seen in log.passes if seen.landmark == number]
         group = _groups(passes, period_deg, disc_m)
         for n in range(max(group, default=-1) + 1):
-            members = [one for one, g in zip(passes, group, strict=True) if g == n]
-            found.append(_landmark(members, period_deg))
+            members = [seen for seen, g in zip(passes, group, strict=True) if g == n]
+            landmarks.append(_landmark(members, period_deg))
     others: dict[int, list[Pass]] = {}
-    weight = [sum(len(one.row) * one.score for one in landmark.members) for landmark in found]
-    for n in sorted(range(len(found)), key=lambda n: -weight[n]):
-        near = (k for k in others if math.dist(found[k].position, found[n].position) < disc_m)
-        kept = next((k for k in near if not _moved(found[k], found[n])), None)
+    weight = [
+        sum(len(seen.row) * seen.score for seen in landmark.members) for landmark in landmarks
+    ]
+    for n in sorted(range(len(landmarks)), key=lambda n: -weight[n]):
+        near = (
+            k for k in others if math.dist(landmarks[k].position, landmarks[n].position) < disc_m
+        )
+        kept = next((k for k in near if not _moved(landmarks[k], landmarks[n])), None)
         if kept is None:
             others[n] = []
         else:
-            others[kept] += found[n].members
-    return [replace(found[n], others=others[n]) for n in sorted(others)]
+            others[kept] += landmarks[n].members
+    return [replace(landmarks[n], others=others[n]) for n in sorted(others)]
 
 
 def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[int]:
@@ -323,7 +327,7 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
     """
 
     def column(name: str) -> FloatArray:
-        return np.array([getattr(one, name) for one in passes])
+        return np.array([getattr(seen, name) for seen in passes])
 
     position, covariance, lean = column("position"), column("covariance"), column("lean")
     orientation, variance = column("orientation_deg"), column("orientation_sigma_deg") ** 2
@@ -365,19 +369,19 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
     return group.tolist()
 
 
-def _moved(one: Landmark, other: Landmark) -> bool:
+def _moved(first: Landmark, second: Landmark) -> bool:
     """Whether two landmarks that would overlap are one that was moved: of one ID, never at once."""
-    return one.id == other.id and not any(
+    return first.id == second.id and not any(
         a.path is b.path and a.row[0] <= b.row[-1] and b.row[0] <= a.row[-1]
-        for a, b in product(one.members, other.members)
+        for a, b in product(first.members, second.members)
     )
 
 
 def moved(landmarks: Sequence[Landmark], landmark_set: LandmarkSet) -> Iterator[tuple[int, int]]:
     """Pairs of indices of landmarks that are two positions of one that was moved."""
     disc_m = ONE_DISC * 2 * landmark_set.radius_m
-    for (i, one), (k, other) in combinations(enumerate(landmarks), 2):
-        if _moved(one, other) and math.dist(one.position, other.position) < disc_m:
+    for (i, first), (k, second) in combinations(enumerate(landmarks), 2):
+        if _moved(first, second) and math.dist(first.position, second.position) < disc_m:
             yield i, k
 
 
@@ -393,9 +397,9 @@ def _landmark(passes: list[Pass], period_deg: float) -> Landmark:
         of_log = [*of_path]
         names = "middle", "position", "covariance", "lean", "orientation_deg"
         row, positions, own, lean, orientations = (
-            np.array([getattr(one, name) for one in of_log]) for name in names
+            np.array([getattr(seen, name) for seen in of_log]) for name in names
         )
-        own_variance = np.array([one.orientation_sigma_deg for one in of_log]) ** 2
+        own_variance = np.array([seen.orientation_sigma_deg for seen in of_log]) ** 2
         first = np.repeat(row[:1], len(row))
         own = own + path.position_covariance(row, positions, first)
         position, covariance, lean = _fused(positions, own, lean)
@@ -443,8 +447,8 @@ def _fused_orientation(
 def frames_of(passes: Sequence[Pass]) -> int:
     """The number of frames of some passes; one with two tracks on a landmark counts once."""
     rows = defaultdict(list)
-    for one in passes:
-        rows[one.path].append(one.row)
+    for seen in passes:
+        rows[seen.path].append(seen.row)
     return sum(len(np.unique(np.concatenate(of_log))) for of_log in rows.values())
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.errors import Diagnostics, SonarrecError, number_of
+from sonarrec.errors import Diagnostics, SonarrecError, listed, number_of
 from sonarrec.geometry import PoseTable
 from sonarrec.stretches import MOST_LISTED, stretches_of
 from sonarrec.tables.read import Kind, Table, read_table
@@ -214,12 +214,9 @@ def measured_motion_paths(folder: Path, table: Table, diagnostics: Diagnostics) 
     begins = np.diff(table["stretch"], prepend=0).astype(bool) & ~by_poses
     first = np.flatnonzero(begins)
     if len(first):
-        listed = ", ".join(map(str, frame[first][:MOST_LISTED])) + " ..." * (
-            len(first) > MOST_LISTED
-        )
         diagnostics.note(
             f"{folder}: the motion over {number_of(len(first), 'pause')} is not known; each begins "
-            f"a path with axes of its own, at frame {listed}"
+            f"a path with axes of its own, at frame {listed(frame[first].tolist(), MOST_LISTED)}"
         )
     paths = []
     for part in map(slice, [0, *first.tolist()], [*first.tolist(), len(frame)]):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
-from sonarrec.errors import number_of
+from sonarrec.errors import listed, number_of
 from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.landmarks import Landmark, MappedLog, ellipse
@@ -76,7 +76,7 @@ def _draw_part(axes: Any, site: SiteMap, logs: Sequence[MappedLog], part: int) -
 def _title(site: SiteMap) -> str:
     count = number_of(len(site.landmarks), "landmark")
     names = list(dict.fromkeys(log.name for log in site.logs))
-    logs = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    logs = listed(names, 3)
     return escape_mathtext(f"{count} of {site.landmark_set.name}: {logs}")
 
 

@@ -101,11 +101,11 @@ def write_all(folder: Path, site: SiteMap, origin: GeographicOrigin | None = Non
             write_text(earth, json.dumps(geojson(site, origin), allow_nan=False) + "\n")
 
 
-def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> Cells:
+def _pose_cells(site: SiteMap, placed: Landmark | Pass, landmark: int) -> Cells:
     """Position, its covariance and orientation, in the axes of the poses. landmark: its ID."""
-    x, y = site.position(one.position)
-    (xx, xy), (_, yy) = site.covariance(one.covariance)
-    orientation = site.orientation(one.orientation_deg, landmark)
+    x, y = site.position(placed.position)
+    (xx, xy), (_, yy) = site.covariance(placed.covariance)
+    orientation = site.orientation(placed.orientation_deg, landmark)
     known = not math.isnan(orientation)
     return {
         "x_m": f"{x:.4f}",
@@ -114,7 +114,7 @@ def _pose_cells(site: SiteMap, one: Landmark | Pass, landmark: int) -> Cells:
         "xy_m2": f"{xy:.3e}",
         "yy_m2": f"{yy:.3e}",
         "orientation_deg": f"{orientation:.2f}" if known else "",
-        "orientation_sigma_deg": f"{one.orientation_sigma_deg:.2f}" if known else "",
+        "orientation_sigma_deg": f"{placed.orientation_sigma_deg:.2f}" if known else "",
     }
 
 
@@ -123,14 +123,16 @@ def map_rows(site: SiteMap) -> list[Cells]:
     rows: list[Cells] = []
     for number, landmark in enumerate(site.landmarks, 1):
         passes = landmark.members
-        times = [one.path.timestamp_ns[one.row] for one in passes]
-        score = np.average([one.score for one in passes], weights=[len(one.row) for one in passes])
+        times = [seen.path.timestamp_ns[seen.row] for seen in passes]
+        score = np.average(
+            [seen.score for seen in passes], weights=[len(seen.row) for seen in passes]
+        )
         cells: Cells = {
             "number": number,
             "landmark": landmark.id,
             "passes": len(passes),
             "frames": frames_of(passes),
-            "logs": len({one.path for one in passes}),
+            "logs": len({seen.path for seen in passes}),
             "mean_score": f"{score:.4f}",
             "near_m": f"{min(one.near_m for one in passes):.3f}",
             "far_m": f"{max(one.far_m for one in passes):.3f}",
@@ -146,33 +148,33 @@ def map_rows(site: SiteMap) -> list[Cells]:
 def pass_rows(site: SiteMap) -> list[Cells]:
     """The rows of passes.csv, one per pass, also of landmarks that were left out."""
     number = {
-        one: n
+        seen: n
         for n, landmark in enumerate(site.landmarks, 1)
         for passes in (landmark.members, landmark.others)
-        for one in passes
+        for seen in passes
     }
     rows: list[Cells] = []
     for log in site.logs:
-        for one in log.passes:
-            pose = log.path.pose[one.middle]
+        for seen in log.passes:
+            pose = log.path.pose[seen.middle]
             sonar_x, sonar_y = site.position(pose[1:])
             cells: Cells = {
-                "number": number.get(one, ""),
+                "number": number.get(seen, ""),
                 "log": as_cell(log.name),
-                "landmark": one.landmark,
-                "track": one.track,
-                "first_frame": log.path.frame[one.row[0]],
-                "last_frame": log.path.frame[one.row[-1]],
-                "frames": frames_of([one]),
-                "mean_score": f"{one.score:.4f}",
-                "near_m": f"{one.near_m:.3f}",
-                "far_m": f"{one.far_m:.3f}",
+                "landmark": seen.landmark,
+                "track": seen.track,
+                "first_frame": log.path.frame[seen.row[0]],
+                "last_frame": log.path.frame[seen.row[-1]],
+                "frames": frames_of([seen]),
+                "mean_score": f"{seen.score:.4f}",
+                "near_m": f"{seen.near_m:.3f}",
+                "far_m": f"{seen.far_m:.3f}",
                 "sonar_x_m": f"{sonar_x:.4f}",
                 "sonar_y_m": f"{sonar_y:.4f}",
                 "sonar_yaw_deg": f"{-pose[0] if site.ros_axes else pose[0]:.3f}",
-                "path": site.path_of(one),
+                "path": site.path_of(seen),
             }
-            rows.append(cells | _pose_cells(site, one, one.landmark))
+            rows.append(cells | _pose_cells(site, seen, seen.landmark))
     return rows
 
 
@@ -250,8 +252,8 @@ class LandmarkMap:
     """Input that could not be used, a line each."""
 
     def __repr__(self) -> str:
-        found = number_of(len(self.landmarks), "landmark")
-        return f"<map of {found} from {number_of(self.logs, 'log')}>"
+        number = number_of(len(self.landmarks), "landmark")
+        return f"<map of {number} from {number_of(self.logs, 'log')}>"
 
 
 def map_landmarks(

@@ -232,8 +232,8 @@ def results_in(path: Path) -> list[Path]:
         return [path]
     for find in (find_log, find_logs):
         with suppress(SonarrecError):
-            found = find(path)
-            return found if isinstance(found, list) else []
+            source = find(path)
+            return source if isinstance(source, list) else []
     return []
 
 

@@ -262,7 +262,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
             if len(others) > len(files):
                 files, others, reader = others, files, _ARRAYS
             if len(others) > (reader is _IMAGES):  # a single array is perhaps of times
-                more = ", nor others of its kind" * (len(others) > 1)
+                more = ", nor others of its kind" if len(others) > 1 else ""
                 about.note(
                     f"{others[0].name} is not read{more}: the log is the {len(files)} files as "
                     f"{files[0].name}"

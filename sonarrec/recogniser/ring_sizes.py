@@ -63,9 +63,9 @@ class RingSizes:
             return None  # as in most logs: that costs nothing
         if (own := self._contrast(1.0)) * BETTER >= 1:
             return None
-        found = {factor: self._contrast(factor) for factor in FACTORS.tolist()}
-        best = max(found, key=lambda factor: found[factor])
-        if found[best] < max(CLEAR, BETTER * own):
+        contrast = {factor: self._contrast(factor) for factor in FACTORS.tolist()}
+        best = max(contrast, key=lambda factor: contrast[factor])
+        if contrast[best] < max(CLEAR, BETTER * own):
             return None
         return float(best * self._landmarks.radius_m)
 

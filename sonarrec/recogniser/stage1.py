@@ -181,8 +181,8 @@ class Surroundings:
             return np.empty(0)
         pixel = np.clip(np.rint(positions), 0, np.array(self._inside.shape[::-1]) - 1)
         column, row = ((pixel + 0.5) / COARSE - 0.5).astype(np.float32).T
-        found = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(found, float).ravel()
+        values = cv2.remap(coarse, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(values, float).ravel()
 
     def _blur(self, blocks: FloatImage) -> FloatImage:
         """Mean over each block's surroundings; 0 beyond the image."""
@@ -340,14 +340,14 @@ class RingScore:
         grey, inside = patches.reshape(2, len(positions), self._side**2)
         # The surroundings' level is nearly even within a patch, and the kernel sums to 0.
         relief = (grey - around.values_at(levels.mean, pixel)[:, None]) * inside
-        found = (relief @ self._patch).reshape(-1, 3, 3)
-        lines = np.stack([found[:, 1], found[:, :, 1]])  # along a row, and down a column
-        before, here, after = np.moveaxis(lines, 2, 0)
-        shift = _vertex(before, here, after, 1.0)
+        contrast = (relief @ self._patch).reshape(-1, 3, 3)
+        lines = np.stack([contrast[:, 1], contrast[:, :, 1]])  # along a row, and down a column
+        before, middle, after = np.moveaxis(lines, 2, 0)
+        shift = _vertex(before, middle, after, 1.0)
         gain = self._gain[tuple(pixel[:, ::-1].T // self._step)] / around.values_at(
             levels.sigma, pixel
         )
-        scores = found.max(axis=(1, 2), initial=0) * gain
+        scores = contrast.max(axis=(1, 2), initial=0) * gain
         # Rounded, since the last digits of a product depend on the processor.
         return np.round(pixel + shift.T, 4), np.round(scores, 6)
 
@@ -474,10 +474,10 @@ def _refine(score: FloatImage, index: IndexArray) -> FloatArray:
 
 
 def _vertex(
-    before: FloatArray, here: FloatArray, after: FloatArray, most: float = 0.5
+    before: FloatArray, middle: FloatArray, after: FloatArray, most: float = 0.5
 ) -> FloatArray:
     """Where a parabola through three samples has its maximum, at most so many steps from the
     middle; 0 if it has none."""
-    bend = before - 2 * here + after
+    bend = before - 2 * middle + after
     shift = 0.5 * (before - after) / np.minimum(bend, np.float32(-1e-12))
     return np.where(bend < 0, np.maximum(np.minimum(shift, most), -most), 0.0)

@@ -180,8 +180,8 @@ class ContinuityFilter:
         distance = self._distances(own, candidates)
         if ((distance < 1 + OWN_CANDIDATE).sum(axis=1) < 2).all():
             return weight  # as usual
-        there = distance.min(axis=1) <= OWN_CANDIDATE
-        own[there] = candidates[distance.argmin(axis=1)[there]]
+        near = distance.min(axis=1) <= OWN_CANDIDATE
+        own[near] = candidates[distance.argmin(axis=1)[near]]
         distance = self._distances(own, candidates)
         neighbours = (distance > OWN_CANDIDATE) & (distance < 1)
         if not neighbours.any():
@@ -398,8 +398,8 @@ class ContinuityFilter:
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(len(a), len(b)) distances in disc diameters, as `_diameters`."""
-        one, other = as_complex(a / self._diameter), as_complex(b / self._diameter)
-        return np.asarray(np.abs(one[:, None] - other))
+        first, second = as_complex(a / self._diameter), as_complex(b / self._diameter)
+        return np.asarray(np.abs(first[:, None] - second))
 
 
 def _gate(lost: _Group) -> float:

@@ -234,6 +234,6 @@ class DiscStages(ThreeStages):
         if self._smi is None:
             return []
         grey, seen = zip(*(f.shapes for f in frames), strict=True)
-        found = self._identify(np.concatenate(grey), np.concatenate(seen))
+        identified = self._identify(np.concatenate(grey), np.concatenate(seen))
         positions, scores = [f.candidates for f in frames], [f.scores for f in frames]
-        return self._estimates.of_candidates(self._smi, positions, scores, found)
+        return self._estimates.of_candidates(self._smi, positions, scores, identified)

@@ -120,7 +120,8 @@ def find_logs(results: Path) -> list[Path]:
         return [results]
     # It may be the log: then its results are where `run` puts them.
     home = Path("sonarrec_out", results.stem)
-    of_log = f"; if it is a log, its results are in {home}" * (home / "frames.csv").is_file()
+    is_log = (home / "frames.csv").is_file()
+    of_log = f"; if it is a log, its results are in {home}" if is_log else ""
     if not results.is_dir():
         part = part_of(results)
         has_frames = (part / "frames.csv").is_file()

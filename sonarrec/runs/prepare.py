@@ -221,14 +221,15 @@ def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: Ru
     topic, file = log.reading().get("topic"), given.sonar_file or source.companion(SONAR_FILE)
     if not given.sonar_file and earlier.sonar() != Sonar():
         file = earlier.path
-    origins = [f"topic {topic}"] * (topic is not None) + ["options"] * (given.sonar != Sonar())
-    origins += [str(file)] * (file is not None)
-    unstated = "assumed" if fan.height_m is None else "estimated"
+    options = "options" if given.sonar != Sonar() else ""
+    origins = [*filter(None, (topic and f"topic {topic}", options, file and str(file)))]
+    tilt = " assumed" if log.sonar.tilt_deg is None else ""
+    height = " assumed" if fan.height_m is None else " estimated"
     parts = (
         f"geometry {fan.range_min_m:.4g} to {fan.range_max_m:.4g} m",
         f"{fan.bearing_max_deg - fan.bearing_min_deg:.4g} deg wide",
         f"{log.sonar.order_of_ranges.removesuffix('_first')} range on top",
-        f"tilt {fan.tilt_deg:.4g} deg" + " assumed" * (log.sonar.tilt_deg is None),
-        f"height {floor_depth(fan):.3g} m" + f" {unstated}" * (log.stated.height_m is None),
+        f"tilt {fan.tilt_deg:.4g} deg{tilt}",
+        f"height {floor_depth(fan):.3g} m{height if log.stated.height_m is None else ''}",
     )
     return f"{', '.join(parts)} ({', '.join(origins) or 'log'})"

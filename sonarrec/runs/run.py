@@ -179,7 +179,7 @@ class Runs:
         frames = [outcome.frames for outcome in self]
         failed = len(self.rows) - len(frames)
         done = f"{number_of(len(frames), 'log')}, {number_of(sum(frames), 'frame')}"
-        return f"<{self.folder}: {done}{f'; {failed} failed' * bool(failed)}>"
+        return f"<{self.folder}: {done}; {failed} failed>" if failed else f"<{self.folder}: {done}>"
 
 
 @overload

@@ -147,8 +147,8 @@ class SquareGrid:
         poses = np.array([(p.pan_deg, p.x_m, p.y_m) for p in path])
         edge = np.radians(poses[:, :1] + np.linspace(-self._reach_deg, self._reach_deg, 9))
         ends = [  # of what is seen along x and y
-            np.hstack([middle, middle + sonar.range_max_m * of(edge)])
-            for middle, of in ((poses[:, 1:2], np.sin), (poses[:, 2:], np.cos))
+            np.hstack([middle, middle + sonar.range_max_m * component(edge)])
+            for middle, component in ((poses[:, 1:2], np.sin), (poses[:, 2:], np.cos))
         ]
         self._first = x0, y0 = [end.min() - MARGIN_M for end in ends]
         columns, rows = (
@@ -177,10 +177,11 @@ class SquareGrid:
         azimuth, reach_m = math.radians(azimuth_deg), radius_m * BOX
         columns, rows = (
             slice(
-                max(math.floor((ground_m * of(azimuth) - reach_m - first) / self.cell_m), 0),
-                max(math.ceil((ground_m * of(azimuth) + reach_m - first) / self.cell_m), 0) + 1,
+                max(math.floor((ground_m * component(azimuth) - reach_m - first) / self.cell_m), 0),
+                max(math.ceil((ground_m * component(azimuth) + reach_m - first) / self.cell_m), 0)
+                + 1,
             )
-            for of, first in zip((math.sin, math.cos), self._first, strict=True)
+            for component, first in zip((math.sin, math.cos), self._first, strict=True)
         )
         return rows, columns
 

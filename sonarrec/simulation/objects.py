@@ -92,7 +92,7 @@ class Canvas:
         if item.lean_deg:
             dx, dy, *raised = _raised(item, self.radius_m, scene, grid.x_m[box], grid.y_m[box])
             self.raised = raised
-        cos, sin = (of(math.radians(item.orientation_deg)) for of in (math.cos, math.sin))
+        cos, sin = (part(math.radians(item.orientation_deg)) for part in (math.cos, math.sin))
         self.u = (dx * cos + dy * sin) / self.radius_m
         self.v = (-dx * sin + dy * cos) / self.radius_m
         self.rho = np.hypot(self.u, self.v)
@@ -134,16 +134,16 @@ def draw_object(
         bright_db = usual_db if item.bright_db is None else item.bright_db
         _DRAW[item.kind](item, canvas, bright_db, tall_m)
     on = canvas.layers
-    mine = on.owner == number
+    own = on.owner == number
     if canvas.raised is not None:
         lifted_m, lit_db = canvas.raised
-        on.level[mine] += lit_db[mine]
-        on.lifted[mine] = lifted_m[mine]
+        on.level[own] += lit_db[own]
+        on.lifted[own] = lifted_m[own]
     if item.silted:
-        silt = np.zeros(mine.shape, np.float32)
-        if mine.any():  # the share is of the cells that are at least half covered
-            most = np.quantile(on.silt[mine], 1 - item.silted)
-            silt = np.where(mine, 1 / (1 + np.exp((most - on.silt) / SILT_EDGE)), 0.0)
+        silt = np.zeros(own.shape, np.float32)
+        if own.any():  # the share is of the cells that are at least half covered
+            most = np.quantile(on.silt[own], 1 - item.silted)
+            silt = np.where(own, 1 / (1 + np.exp((most - on.silt) / SILT_EDGE)), 0.0)
         on.level[...] += silt * (canvas.texture - on.level)
         on.owner[silt > 0.5] = -1
 

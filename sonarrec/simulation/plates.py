@@ -166,10 +166,10 @@ class Plates:
         for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
             row, column = low[:, 0] + down, low[:, 1] + right
             share = np.abs(1 - down - part[:, 0]) * np.abs(1 - right - part[:, 1])
-            there = (row >= 0) & (row < self._shape[0])
-            there &= (column >= 0) & (column < self._shape[1])
-            value = (strength * phase * np.sqrt(share))[there]
-            index = row[there] * self._shape[1] + column[there]
+            inside = (row >= 0) & (row < self._shape[0])
+            inside &= (column >= 0) & (column < self._shape[1])
+            value = (strength * phase * np.sqrt(share))[inside]
+            index = row[inside] * self._shape[1] + column[inside]
             sums = [np.bincount(index, v, echoes.size) for v in (value.real, value.imag)]
             echoes += (sums[0] + 1j * sums[1]).reshape(self._shape)
         return np.asarray(echoes)

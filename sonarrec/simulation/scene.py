@@ -403,10 +403,10 @@ def _fault(scene: AnyScene) -> str | None:
         if scene.range_min_m >= scene.range_max_m or not (scene.beams and scene.bins):
             return "range_min_m must be below range_max_m, beams and bins be some"
         for plate in scene.plate:
-            of = "landmark_set" if plate.known else "others"
-            family: DrawnSet | None = getattr(scene, of)
+            set_name = "landmark_set" if plate.known else "others"
+            family: DrawnSet | None = getattr(scene, set_name)
             if family is None or plate.landmark not in family.ids:
-                return f"there is no ID {plate.landmark} in {of}"
+                return f"there is no ID {plate.landmark} in {set_name}"
             if not scene.range_min_m < plate.range_m < scene.range_max_m:
                 return f"ID {plate.landmark}: range_m = {plate.range_m:g} is outside of the window"
         return None

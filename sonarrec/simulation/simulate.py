@@ -119,11 +119,11 @@ def write_recording(
                 (new / f"{frame.index:06d}.png").write_bytes(png)
             if not plates:
                 truth.writerows(truth_rows(frame.index, frame.truth))
-            for one in frame.truth if plates else ():
-                assert one.corners is not None
-                truth.writerow([round(v, 4) for v in (frame.index, one.landmark, *one[3:7])])
-                of_plate = np.round(one.corners.ravel(), 4).tolist()
-                corners.writerow([frame.index, one.landmark, *of_plate])
+            for plate in frame.truth if plates else ():
+                assert plate.corners is not None
+                truth.writerow([round(v, 4) for v in (frame.index, plate.landmark, *plate[3:7])])
+                of_plate = np.round(plate.corners.ravel(), 4).tolist()
+                corners.writerow([frame.index, plate.landmark, *of_plate])
             if progress:
                 progress(frame.index + 1)
         for name, document in documents.items():

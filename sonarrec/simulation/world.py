@@ -90,9 +90,11 @@ class World:
         # The four of a cell taken for one value, so that all are fetched at once.
         self._phase_rates = _phase_rates(level.size, rng).view(np.complex128)[:, 0]
 
-    def _noise(self, size_m: float, of: np.random.Generator | int) -> np.ndarray:
-        """Smooth noise over the grid. of: a generator, or the number of one for this alone."""
-        rng = np.random.default_rng([self._scene.seed, of]) if isinstance(of, int) else of
+    def _noise(self, size_m: float, source: np.random.Generator | int) -> np.ndarray:
+        """Smooth noise over the grid. source: a generator, or the number of one for this alone."""
+        rng = (
+            np.random.default_rng([self._scene.seed, source]) if isinstance(source, int) else source
+        )
         return smooth_noise(rng, self._grid.shape, self._grid.cells(size_m))
 
     def _glitter(self) -> np.ndarray:

@@ -33,7 +33,8 @@ def natural_order(path: str | Path) -> str:
 def _led_by_its_length(number: re.Match[str]) -> str:
     seconds, decimals = number.groups(default="")
     digits = (seconds or number[0]).lstrip("0")
-    return f"\0{len(digits):04d}{digits}" + f".{decimals}\0" * bool(seconds)
+    led = f"\0{len(digits):04d}{digits}"
+    return f"{led}.{decimals}\0" if seconds else led
 
 
 _SOMETHING_ELSE = {

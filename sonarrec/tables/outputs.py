@@ -95,10 +95,10 @@ def free_name(path: Path) -> Path:
     return next(name for name in itertools.chain([path], names) if not os.path.lexists(name))
 
 
-def _same(one: Path, other: Path) -> bool:
+def _same(first: Path, second: Path) -> bool:
     """Whether both are the same file, possibly through a link."""
     try:
-        return one.resolve() == other.resolve() or one.samefile(other)
+        return first.resolve() == second.resolve() or first.samefile(second)
     except OSError:  # one of them does not exist
         return False
 
@@ -283,7 +283,8 @@ def write_figure(path: Path, figure: Any, **options: Any) -> None:
 
 def escape_mathtext(name: str) -> str:
     """A name so that matplotlib shows it in the legend and does not read it as a formula."""
-    return " " * name.startswith("_") + name.replace("$", r"\$")
+    shown = name.replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown
 
 
 def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:

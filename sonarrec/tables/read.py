@@ -221,11 +221,12 @@ def _check_header(
         if f"{name}.1" in names:  # as pandas calls the second one
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     if missing := [name for name in required if name not in names]:
-        found = printable(",".join(map(str, names)))
-        like += "; separate the cells by commas" * (";" in found or "\\t" in found)
-        found = found if len(found) <= MOST_SHOWN else f"{found[:MOST_SHOWN]}..."
+        header = printable(",".join(map(str, names)))
+        if ";" in header or "\\t" in header:
+            like += "; separate the cells by commas"
+        shown = header if len(header) <= MOST_SHOWN else f"{header[:MOST_SHOWN]}..."
         raise SonarrecError(
-            f"{path}: wrong columns, no {', '.join(missing)}; found {found}; expected a header "
+            f"{path}: wrong columns, no {', '.join(missing)}; found {shown}; expected a header "
             f"such as {like}"
         )
 

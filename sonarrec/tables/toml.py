@@ -61,7 +61,7 @@ def read_text(path: Path) -> str:
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LENGTH + 1)
     except (OSError, UnicodeDecodeError) as fault:
-        how = "; save it as UTF-8" * isinstance(fault, UnicodeDecodeError)
+        how = "; save it as UTF-8" if isinstance(fault, UnicodeDecodeError) else ""
         raise SonarrecError(
             f"{path}: not a readable TOML file, it cannot be read ({fault}){how}"
         ) from None

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable
+from sonarrec.errors import Diagnostics, SonarrecError, listed, number_of, printable
 from sonarrec.readers.raw import Channel, Message, Recording
 from sonarrec.tables import natural_order
 
@@ -101,8 +101,8 @@ class BagFolder(Recording):
         """Tell what is wrong with some parts."""
         if names:
             self.complete = False
-            few = ", ".join(names[:MOST_NAMED]) + ", ..." * (len(names) > MOST_NAMED)
-            self.fault(f"{number_of(len(names), 'part')} of the bag {what}: {few}")
+            parts = number_of(len(names), "part")
+            self.fault(f"{parts} of the bag {what}: {listed(names, MOST_NAMED)}")
 
     def _register(self, part: Path) -> None:
         """Open a part and register its channels, counts, times and faults."""

@@ -77,14 +77,14 @@ def comparisons(
     `uneven_light`.
     """
     match = (pictures * drawings).sum(axis=1)
-    found = [match]
+    matches = [match]
     for sigma in SOFTENED:
         blur = np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
         soft = [
             levelled(np.reshape(blur @ x.reshape(-1, FINE, FINE) @ blur.T, (-1, FINE**2)), light)
             for x in (pictures, drawings)
         ]
-        found.append((soft[0] * soft[1]).sum(axis=1))
+        matches.append((soft[0] * soft[1]).sum(axis=1))
     rest = (pictures - match[:, None] * drawings).reshape(-1, FINE, FINE)
     power = np.maximum((rest**2).sum(axis=(1, 2)), 1e-6)
     right, down = (
@@ -93,7 +93,7 @@ def comparisons(
     )
     along_down = np.abs(range_ward[:, 1]) > np.abs(range_ward[:, 0])
     across, along = np.where(along_down, [right, down], [down, right])
-    return np.stack([*found, *across, *along], axis=1)
+    return np.stack([*matches, *across, *along], axis=1)
 
 
 def shown(drawing: FloatImage, way: int) -> FloatImage:
@@ -155,7 +155,7 @@ class Drawings:
         light = uneven_light(size, range_ward[None])
         flat = levelled(picture.reshape(1, -1), light)[0].reshape(size, size)
         planes = light[0].reshape(-1, size, size)
-        found = np.empty((len(self._cells), len(self.ways)), np.float32)
+        matches = np.empty((len(self._cells), len(self.ways)), np.float32)
         for odd in (0, 1):
             rows = self.seen(size, smear[::-1] if odd else smear).reshape(len(self._cells), -1)
             columns = [i for i, way in enumerate(self.ways) if way % 2 == odd]
@@ -163,8 +163,8 @@ class Drawings:
             product = rows @ np.concatenate(both).reshape(-1, size**2).T
             product = product.reshape(len(rows), len(columns), -1)
             left = (rows**2).sum(axis=1)[:, None] - (product[..., 1:] ** 2).sum(axis=2)
-            found[:, columns] = product[..., 0] / np.sqrt(np.maximum(left, 1e-6))
-        return found
+            matches[:, columns] = product[..., 0] / np.sqrt(np.maximum(left, 1e-6))
+        return matches
 
 
 def _spread(size: int, cells: int, sigma: float) -> FloatImage:
@@ -204,7 +204,7 @@ def _grainy(rng: np.random.Generator, count: int, n: int, sigma: float) -> Float
     """(count, n, n) noise of deviation 1, smoothed."""
     noise = rng.standard_normal((count, n, n))
     if sigma:
-        noise = np.stack([cv2.GaussianBlur(one, (0, 0), sigma) for one in noise])
+        noise = np.stack([cv2.GaussianBlur(picture, (0, 0), sigma) for picture in noise])
     return np.asarray(noise / noise.std())
 
 

@@ -59,6 +59,6 @@ def of_ids(matches: FloatArray, rival: FloatArray, odds: FloatArray) -> FloatArr
     both = np.sort(np.concatenate([matches, rival[:, None]], axis=1), axis=1)
     margin = matches - np.where(matches >= both[:, -1:], both[:, -2:-1], both[:, -1:])
     of_track = [np.ones(len(odds)), np.arctanh(rival.clip(0, 0.99)), odds]
-    one, of_rival, odds = (np.broadcast_to(v[:, None], matches.shape) for v in of_track)
+    ones, of_rival, odds = (np.broadcast_to(v[:, None], matches.shape) for v in of_track)
     z = np.arctanh(matches.clip(0, 0.99))
-    return np.stack([one, z, margin, of_rival, odds], axis=2)
+    return np.stack([ones, z, margin, of_rival, odds], axis=2)

@@ -122,7 +122,7 @@ class PoseFitter:
         chosen: list[tuple[int, int]] = []
         for index in np.argsort(-match, axis=None).tolist():
             i, k = divmod(index, len(rows))
-            same = [j for j, of in chosen if of == k]
+            same = [j for j, drawing in chosen if drawing == k]
             offsets = [np.hypot(*(middles[i, k] - middles[j, k])) for j in same]
             if len(same) < SAME and min(offsets, default=np.inf) > SEPARATION * self._half:
                 chosen.append((i, k))
@@ -242,10 +242,10 @@ class PoseFitter:
             poses = self._within(np.concatenate([middle, matrix.reshape(n, 4)], axis=1))
         pictures = _sampled(image, poses, FINE)
         level = levelled(pictures.reshape(n, -1), light)
-        found = comparisons(level, flat, light, range_ward)
-        odds = self.model.of_pictures(found)
+        compared = comparisons(level, flat, light, range_ward)
+        odds = self.model.of_pictures(compared)
         return [
-            Fit(poses[i], found[i], int(rows[i]), int(ways[i]), pictures[i], odds[i])
+            Fit(poses[i], compared[i], int(rows[i]), int(ways[i]), pictures[i], odds[i])
             for i in range(n)
         ]
 
@@ -283,8 +283,8 @@ def _sampled(image: FloatImage, poses: FloatArray, size: int, reach: int = 0) ->
     side = size + 2 * reach
     affine = poses[:, [[0, 2, 3], [1, 4, 5]]].astype(np.float32)
     column, row = np.ascontiguousarray((affine @ _grid(size, reach)).transpose(1, 0, 2))
-    found = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    return np.asarray(found, np.float32).reshape(len(poses), side, side)
+    values = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(values, np.float32).reshape(len(poses), side, side)
 
 
 def _steps(flat: FloatImage, light: FloatImage) -> FloatImage:

@@ -122,8 +122,8 @@ class PlateMeasurement:
         track.picture = track.picture + (flat - track.picture) * np.float32(share / track.weight)
         track.odds += (fit.odds - track.odds) * share / track.weight
         track.frames += 1
-        found = self._fitter.matches(track.picture, fit.pose)
-        column, match = best(found)
+        matches = self._fitter.matches(track.picture, fit.pose)
+        column, match = best(matches)
         k = self._drawings.count
         track.matches, track.rival = match[:k], float(match[k:].max())
         ways = np.array(self._drawings.ways)[column]

@@ -132,14 +132,14 @@ class ImageMotion:
         if poor or self._pan_sigma is None or self._since_quick >= CHECK_EVERY:
             quick, crept, moves = self._quick_check(before, now, yaw)
         if moves or poor:
-            found = None
+            registered = None
             if moves or not (quick is not None and _stands(quick)):
-                found = self._register(before, now, start, searched=not moves)
-            if found is not None and found.match > (match if moves else match + BETTER):
+                registered = self._register(before, now, start, searched=not moves)
+            if registered is not None and registered.match > (match if moves else match + BETTER):
                 self._evidence, self._under_way, self._pause = _Evidence(), 0, 0
                 if not crept:
                     self._keyframes.clear()
-                return self._accept(found, now, seconds)
+                return self._accept(registered, now, seconds)
             # The sonar stands, and pictures of this floor match no better.
             self._usual_match = match
             self._since_search = 0
@@ -202,8 +202,8 @@ class ImageMotion:
         if searched:
             start = motion_grid(self._registration.grid).best(before.grey, now.grey)
         least = LEAST_SEARCHED if searched else LEAST_NEAR
-        found = self._registration.refined(before, now, start)
-        return None if found is None or found.loose or found.match < least else found
+        refined = self._registration.refined(before, now, start)
+        return None if refined is None or refined.loose or refined.match < least else refined
 
     def _accept(self, registration: Registration, now: Picture, seconds: float) -> Motion:
         """The motion by a registration, which also updates the speed and the keyframes.

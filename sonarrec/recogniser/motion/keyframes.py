@@ -56,12 +56,12 @@ class Keyframes:
             return None
         keyframe = self._kept[0]
         expected = _between(keyframe.pose, _after(self._pose, start))
-        found = self._registration.refined(keyframe.picture, now, expected)
-        if found is None or found.loose or found.match < LEAST_MATCH:
+        refined = self._registration.refined(keyframe.picture, now, expected)
+        if refined is None or refined.loose or refined.match < LEAST_MATCH:
             return None
         # The last picture's pose has an error of its own.
-        motion = _between(self._pose, _after(keyframe.pose, found.motion))
-        return replace(found, motion=motion, covariance=2 * found.covariance)
+        motion = _between(self._pose, _after(keyframe.pose, refined.motion))
+        return replace(refined, motion=motion, covariance=2 * refined.covariance)
 
     def keep(self, now: Picture, motion: FloatArray) -> None:
         """Take in a motion (3,) since the last picture; this one may become a keyframe."""
@@ -90,21 +90,21 @@ class Keyframes:
             return False
         if quick.translation(quick.motion) <= SUSPECT:
             return False
-        found = self._registration.refined(keyframe.picture, now, expected)
-        if found is None or found.loose or found.translation(found.motion) <= sure:
+        refined = self._registration.refined(keyframe.picture, now, expected)
+        if refined is None or refined.loose or refined.translation(refined.motion) <= sure:
             return False
         # The motion so far is not reported: the tracks have followed their discs without it.
-        self._pose = _after(_after(keyframe.pose, found.motion), np.array([0.0, 0.0, -yaw]))
+        self._pose = _after(_after(keyframe.pose, refined.motion), np.array([0.0, 0.0, -yaw]))
         return True
 
-    def under_way(self, found: Registration) -> float | None:
+    def under_way(self, registration: Registration) -> float | None:
         """The chi-square, of 2 degrees of freedom, of the translation over the last STRETCH frames.
 
-        found: from `registered`, whose covariance is used. None before STRETCH frames.
+        registration: from `registered`, whose covariance is used. None before STRETCH frames.
         """
         if len(self._trail) < STRETCH:
             return None
-        return found.translation(_between(self._trail[0], self._pose))
+        return registration.translation(_between(self._trail[0], self._pose))
 
 
 def _after(pose: FloatArray, motion: FloatArray) -> FloatArray:

@@ -106,8 +106,8 @@ class MotionGrid:
         filled = tuple(map(cv2.getOptimalDFTSize, size))  # padded with 0 to a fast length
         spectrum = np.fft.rfft2(windows[:rows, :columns], filled)
         spectrum *= np.fft.rfft2(parts, filled).conj()
-        found = np.fft.irfft2(spectrum, filled)[..., : 2 * down + 1, : 2 * across + 1]
-        correlation = np.append(found.astype(np.float32).ravel(), np.float32(0))
+        correlation = np.fft.irfft2(spectrum, filled)[..., : 2 * down + 1, : 2 * across + 1]
+        correlation = np.append(correlation.astype(np.float32).ravel(), np.float32(0))
         return np.asarray(self._motions[int(correlation[self._index].sum(axis=1).argmax())])
 
 

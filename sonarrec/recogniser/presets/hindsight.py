@@ -60,8 +60,8 @@ class Hindsight:
                 opinion.declared[estimate.landmark] = frames + 1
             if estimate.score > opinion.orientations.get(estimate.landmark, (0.0,))[0]:
                 orientation = estimate.orientation_deg + _sight_rotation(estimate)
-                found = estimate.score, orientation, estimate.orientation_sigma_deg
-                opinion.orientations[estimate.landmark] = found
+                surest = estimate.score, orientation, estimate.orientation_sigma_deg
+                opinion.orientations[estimate.landmark] = surest
         # No result that still waits is of an older track.
         self._opinions.drop_before(self._frame - 2 * self.lag)
 

@@ -42,10 +42,10 @@ class _Preset:
 
     def own(self, result: FrameResult) -> FrameResult:
         """The result by that of its stages, which may be those of another preset."""
-        theirs = self.stages.method
-        if theirs == self.method:
+        of_stages = self.stages.method
+        if of_stages == self.method:
             return result
-        estimates = (e for e in result.estimates if e.method == theirs)
+        estimates = (e for e in result.estimates if e.method == of_stages)
         return replace(result, estimates=tuple(replace(e, method=self.method) for e in estimates))
 
     def learn(self, results: list[FrameResult]) -> None:
@@ -164,9 +164,9 @@ class SideBySide:
         """Stage 3 of the frames that wait for it; the results that are final by then."""
         tracked, self._tracked = self._tracked, []
         if tracked:
-            found = {s: s.stage3([frame[s] for frame in tracked]) for s in self._stages}
+            by_stages = {s: s.stage3([frame[s] for frame in tracked]) for s in self._stages}
             self._new.extend(
-                [preset.own(found[preset.stages][n]) for preset in self._presets]
+                [preset.own(by_stages[preset.stages][n]) for preset in self._presets]
                 for n in range(len(tracked))
             )
         while self._new:

@@ -35,14 +35,14 @@ def with_beams(
     if stated_deg is not None:
         width, how = stated_deg, "as stated"
     needs = [not c.features.beam_width_deg and c.features.measurement != "single" for c in configs]
-    found = [
+    complete = [
         replace(c, features=replace(c.features, beam_width_deg=width)) if need else c
         for c, need in zip(configs, needs, strict=True)
     ]
     if width == usual or not any(needs):
-        return found, []
+        return complete, []
     note = f"beam width: {width:g} deg, {how}"
-    return found, [f"{note}; beam_width_deg in sonar.toml changes it"]
+    return complete, [f"{note}; beam_width_deg in sonar.toml changes it"]
 
 
 def usual_beam_width_deg(fan: Fan) -> float:

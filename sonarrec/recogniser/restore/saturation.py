@@ -146,7 +146,8 @@ def _cause(up_to: IntArray) -> str:
     if np.count_nonzero(counts) < FEW_LEVELS:
         return "have few grey levels, as masks have; are they pictures of the sonar?"
     bright = np.average(np.arange(256), weights=counts) > BRIGHT
-    return f"are saturated; a lower gain is better{', unless they are reversed' * bool(bright)}"
+    unless = ", unless they are reversed" if bright else ""
+    return f"are saturated; a lower gain is better{unless}"
 
 
 def _spread(up_to: IntArray) -> float:

@@ -155,9 +155,9 @@ class Unchanging:
         count, spot, stats, _ = cv2.connectedComponentsWithStats(either.view(np.uint8))
         size, dark = (np.bincount(spot[p], minlength=count) for p in (still, still & darker))
         full_beam = stats[:, cv2.CC_STAT_HEIGHT] >= LEAST_BEAM * len(inside)
-        found = (size >= LEAST_SPOT) & ((dark < size / 2) | full_beam)
-        found[0] = False  # the pixels that are in no spot
-        return found[spot], outside
+        static = (size >= LEAST_SPOT) & ((dark < size / 2) | full_beam)
+        static[0] = False  # the pixels that are in no spot
+        return static[spot], outside
 
 
 def _local_mean(values: npt.NDArray[Any], counts: BoolArray) -> FloatImage:

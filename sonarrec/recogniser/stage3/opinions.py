@@ -65,8 +65,8 @@ class Opinion:
         self.beliefs_sum += other.beliefs_sum
         for landmark, frames in other.declared.items():
             self.declared[landmark] = self.declared.get(landmark, 0) + frames
-        for landmark, found in other.orientations.items():
-            self.orientations[landmark] = max(found, self.orientations.get(landmark, found))
+        for landmark, surest in other.orientations.items():
+            self.orientations[landmark] = max(surest, self.orientations.get(landmark, surest))
 
     def mean(self) -> FloatArray:
         """(K + 1,) weighted mean of the log beliefs."""
