@@ -34,13 +34,13 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2890,
+    "cli": 2946,
     "drawing": 735,
     "evaluation": 3930,
     "geometry": 415,
     "learning": 556,
     "mapping": 1392,
-    "overlays": 547,
+    "overlays": 624,
     "readers": 6307,
     "recogniser": 6441,
     "reports": 2126,
@@ -48,7 +48,7 @@ MOST_LINES = {
     "runs": 1766,
     "simulation": 2505,
     "tables": 1012,
-    "truth": 1269,
+    "truth": 1501,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""
