@@ -48,7 +48,7 @@ MOST_LINES = {
     "runs": 1766,
     "simulation": 2505,
     "tables": 1012,
-    "truth": 1501,
+    "truth": 1505,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -29,6 +29,7 @@ from sonarrec.truth.coco import ATTRIBUTES, HALF_A_PIXEL, ImageObject, pictures_
 from sonarrec.truth.match import match_truth, share_in_image
 from sonarrec.truth.table import HEADER, read_cells, read_truth, write_truth
 
+MOST_ROUNDING_PX = 0.1
 PARTLY_HIDDEN = 0.5  # `visible` of a shape flagged as occluded; the flag does not say by how much
 _PLAIN_LABEL = re.compile(rf"(?:{ID_IN_LABELS})?(\d{{1,18}})", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"[0-9]{1,18}$")
@@ -307,6 +308,9 @@ def truth_to_coco(
             diagnostics.problem(f"{source}: {number_of(lost, 'row')} on no frame of the log")
         centres = truth.pixels(pictures.fan)
         assert centres is not None
+        if table.pixel is not None:  # stated besides metres, and perhaps rounded otherwise
+            own = table.pixel[truth.row]
+            centres = np.where(np.abs(own - centres) < MOST_ROUNDING_PX, own, centres)
         ids = [(*landmarks.ids, NONE)[k] for k in truth.landmark_index]
         of_rows = zip(
             index[truth.frame_index].tolist(), ids, centres.tolist(), truth.row, strict=True

@@ -73,7 +73,7 @@ def read_back(log: Path, truth: Path, *more: str, code: int = 0) -> list[dict[st
 def same(row: dict[str, str], other: dict[str, str]) -> bool:
     """Equal cells, of pixels to the two decimals that are written."""
     places = ("x_px", "y_px")
-    return all(abs(float(row[c]) - float(other[c])) < 0.01 for c in places) and all(
+    return all(abs(float(row[c]) - float(other[c])) < 0.0051 for c in places) and all(
         row.get(c, "") == other.get(c, "") for c in {*row, *other} - {*places}
     )
 
