@@ -50,7 +50,7 @@ class Pictures:
     def file_name(self, frame: int) -> str:
         """The name of a frame's image; if it is of no file, the frame's number ends it."""
         own = f"{self.name}_{frame:06d}.png"
-        return name_as_text(self.files[frame].name if self.files else own)
+        return name_as_text(self.files[frame].name if frame < len(self.files) else own)
 
     def pixel(self, range_m: FloatArray, bearing_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(column, row) in the images, (N,) each, of slant ranges and bearings."""
