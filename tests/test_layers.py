@@ -34,21 +34,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2891,
+    "cli": 2947,
     "drawing": 735,
     "evaluation": 3930,
     "geometry": 415,
-    "learning": 556,
+    "learning": 529,
     "mapping": 1395,
-    "overlays": 547,
-    "readers": 6258,
-    "recogniser": 6441,
+    "overlays": 624,
+    "readers": 6307,
+    "recogniser": 5805,
     "reports": 2126,
     "results": 1956,
     "runs": 1766,
     "simulation": 2508,
     "tables": 1015,
-    "truth": 1269,
+    "truth": 1505,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -25,8 +25,8 @@ from sonarrec.errors import SonarrecError, is_url, name_as_text, redact_urls
 from sonarrec.records import VERSION
 
 COMMANDS = (
-    *("run", "info", "evaluate", "check", "report", "overlay", "map", "simulate"),
-    *("calibrate", "landmarks", "config", "truth", "help"),
+    *("run", "info", "evaluate", "check", "report", "overlay", "export", "map"),
+    *("simulate", "calibrate", "landmarks", "config", "truth", "help"),
 )
 """Each is in the module of its name, and loaded where it is asked for."""
 UNWRITTEN = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EBADF}

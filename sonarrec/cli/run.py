@@ -67,8 +67,8 @@ class _FolderOrUrl(click.Path):
 @in_input(
     "--odometry",
     type=FILE,
-    help="CSV of the sonar's poses (sonarrec help geometry).  [default: NAME.poses.csv or "
-    "poses.csv next to the log; else the motion is measured between the images]",
+    help="Table of the sonar's poses, CSV or TUM (sonarrec help geometry).  [default: "
+    "NAME.poses.csv or poses.csv next to the log; else the motion is measured between the images]",
 )
 @in_input(
     "--odometry-topic",

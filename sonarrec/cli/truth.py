@@ -20,6 +20,7 @@ from sonarrec.cli.groups import (
     GroupedCommand,
     file_names,
     in_input,
+    in_output,
     in_scoring,
 )
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
@@ -54,9 +55,12 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
     return labels
 
 
-@truth.command(short_help="Write annotations as a gt.csv.", cls=GroupedCommand)
+@truth.command(short_help="Write annotations as a gt.csv, or a gt.csv as COCO.", cls=GroupedCommand)
 @click.argument("annotations", type=FILE)
 @in_input("--log", shell_complete=file_names, help="The log that was annotated.")
+@in_output(
+    "--to", type=click.Choice(["gt", "coco"]), default="gt", help="What to write; coco needs --log."
+)
 @in_input(
     "--map labels",
     multiple=True,
@@ -74,19 +78,20 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 )
 @options.reading()
 @options.landmarks
-@options.out(NEW_FILE, NEW, default=Path("gt.csv"))
+@options.out(NEW_FILE, f"{NEW}  [default: gt.csv; coco.json with --to coco]")
 @options.quiet
 def convert(
     annotations: Path,
     log: str | None,
+    to: str,
     labels: dict[str, int | None],
     first_frame: int,
     reading: dict[str, Any],
     landmarks: str | None,
-    out: Path,
+    out: Path | None,
     quiet: bool,
 ) -> None:
-    """Write ANNOTATIONS as a gt.csv.
+    """Write ANNOTATIONS as a gt.csv, or with --to coco a gt.csv as COCO.
 
     ANNOTATIONS is a COCO JSON, as CVAT, Label Studio and LabelMe's converters export it. With
     --log, frames are found by image name, shapes drawn on polar images are converted to the fan,
@@ -96,6 +101,7 @@ def convert(
     \b
     Examples:
       sonarrec truth convert coco.json --log pings/
+      sonarrec truth convert gt.csv --log pings/ --to coco -o coco.json
       sonarrec truth convert coco.json --map "half ring=none" --map north=3 -o gt.csv
     """
     from sonarrec.readers import open_log
@@ -103,15 +109,23 @@ def convert(
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.prepare import chosen_landmarks
     from sonarrec.truth.convert import convert as convert_annotations
+    from sonarrec.truth.convert import truth_to_coco
 
+    if to == "coco" and (log is None or labels or first_frame):
+        raise UsageError("--to coco needs --log, and takes neither --map nor --first-frame")
     source = None if log is None else find_log(log)
     landmark_set = chosen_landmarks(source, landmarks, read_run(None))[0]
     with nullcontext() if log is None else open_log(log, **reading) as opened:
-        counts, diagnostics = convert_annotations(
-            annotations, out, landmark_set, labels=labels, first_frame=first_frame, log=opened
-        )
-    by_id = ", ".join(f"ID.{i} {count}" for i, count in counts.items()) or "no landmark"
-    line = f"{out}: {number_of(sum(counts.values()), 'row')} ({by_id})"
+        if opened is not None and to == "coco":
+            file = out or Path("coco.json")
+            line, diagnostics = truth_to_coco(annotations, file, landmark_set, opened)
+        else:
+            file = out or Path("gt.csv")
+            counts, diagnostics = convert_annotations(
+                annotations, file, landmark_set, labels=labels, first_frame=first_frame, log=opened
+            )
+            by_id = ", ".join(f"{i} {count}" for i, count in counts.items()) or "no landmark"
+            line = f"{file}: {number_of(sum(counts.values()), 'row')} ({by_id})"
     finish(quiet, [line], diagnostics.problems, diagnostics.notes)
 
 

@@ -195,7 +195,7 @@ def _read_log(
     else:
         times = frames["timestamp_ns"]
         paths = [path_from_poses(frames["frame"], times, frames["stretch"], poses, drift)]
-        ros_axes = "topic" in poses.source
+        ros_axes = poses.axes == "ahead, left"
     fan = run.fan(sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar")

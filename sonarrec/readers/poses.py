@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonarrec.arrays import IntArray
+from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError, number_of
 from sonarrec.geometry import PoseTable, pose_table
 from sonarrec.readers.messages.fields import DefinitionError, Fields
@@ -18,6 +19,7 @@ from sonarrec.readers.messages.types import Decode, fields_decoder, message_type
 from sonarrec.readers.open import find_log
 from sonarrec.readers.raw import Message, Recording, UnusableError
 from sonarrec.records import Clock, Stamps
+from sonarrec.tables import refuse_pipe
 
 if TYPE_CHECKING:
     from sonarrec.tables.read import Table
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 POSES_FILE = "poses.csv"
 """The poses that belong to a log (or NAME.poses.csv), used if the user gives none."""
 HEADER = "timestamp,yaw,x,y"
+TUM = "timestamp tx ty tz qx qy qz qw"
+"""The numbers of a line in the form of the TUM benchmark, as evo and SLAM programs write it."""
 SIMILAR_NAMES = (
     *("x", "y", "x_m", "y_m", "px", "py", "pos_x", "pos_y", "position_x", "position_y"),
     *("east", "north", "east_m", "north_m", "easting", "northing"),
@@ -45,14 +49,25 @@ POSES = {
 
 
 def read_poses(path: Path) -> PoseTable:
-    """Read a CSV table with a header such as HEADER. x and y must both be there, or neither.
-    timestamp_ns is in nanoseconds. timestamp is in ISO 8601 with its UTC offset, in seconds if the
-    median step from row to row is less than SECONDS_BELOW, or in nanoseconds if it is
-    NANOSECONDS_FROM or more. Rows may be in any order; of several rows at one time the first
-    counts. Raises SonarrecError if the table cannot be used."""
+    """Read a CSV table with a header such as HEADER, or lines in the form of TUM.
+
+    x and y must both be there, or neither. timestamp_ns is in nanoseconds. timestamp is in ISO 8601
+    with its UTC offset, in seconds if the median step from row to row is less than SECONDS_BELOW,
+    or in nanoseconds if it is NANOSECONDS_FROM or more. Rows may be in any order; of several rows
+    at one time the first counts. Lines of TUM have the axes of a topic (`read_topic`). Raises
+    SonarrecError if the table cannot be used."""
     # Not at the top, because it loads pandas, which few runs need.
     from sonarrec.tables.read import Kind, read_header, read_table
 
+    refuse_pipe(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
+    source = {"name": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+    if len(lines := _tum_lines(path, content)):
+        times_ns = _times_ns(path, {"timestamp": lines[:, 0]})
+        return _ros_table(path.name, source, times_ns, lines[:, [1, 2, 4, 5, 6, 7]])
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
     table = read_table(path, kinds, ("yaw",), HEADER)
@@ -71,14 +86,50 @@ def read_poses(path: Path) -> PoseTable:
         )
     times_ns = _times_ns(path, table)
     still = np.zeros(len(times_ns))
-    try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise SonarrecError(f"{path}: cannot be read ({error.strerror})") from None
-    source = {"name": path.name, "sha256": digest}
     x, y = table.get("x", still), table.get("y", still)
     return pose_table(path.name, source, times_ns, table["yaw"], x, y)
+
+
+def _tum_lines(path: Path, content: bytes) -> FloatArray:
+    """(lines, 8) the numbers of TUM; (0,) if the file begins with something else.
+
+    Raises SonarrecError, with its number, for a line that is no pose.
+    """
+    from sonarrec.tables.read import LARGEST
+
+    poses: list[list[float]] = []
+    for number, line in enumerate(content.decode("utf-8-sig", errors="replace").splitlines(), 1):
+        if not (cells := line.partition("#")[0].split()):
+            continue
+        try:
+            pose = [float(cell) for cell in cells]
+        except ValueError:
+            pose = []
+        if not pose and not poses:
+            break  # the header of a CSV table
+        if len(pose) != 8 or not all(map(math.isfinite, pose)):
+            raise SonarrecError(
+                f"{path} line {number}: a pose in TUM form is 8 finite numbers with blanks between "
+                f"them ({TUM}), not {line.strip()[:60]!r}; correct or delete the line"
+            )
+        if max(map(abs, pose[1:3])) > LARGEST or not any(pose[4:]):
+            raise SonarrecError(
+                f"{path} line {number}: no pose, since its position is beyond 1e9 m or its "
+                "orientation qx qy qz qw is all zeros; correct or delete the line"
+            )
+        poses.append(pose)
+    return np.array(poses)
+
+
+def _ros_table(
+    name: str, source: Mapping[str, str], time_ns: IntArray, pose: FloatArray
+) -> PoseTable:
+    """The table of poses as ROS has them (REP 103): x ahead and y to the left of a sonar whose yaw
+    is 0, z up. pose: (N, 6) x and y in m, and qx, qy, qz, qw, of any length but 0."""
+    ahead, left = pose[:, :2].T
+    x, y, z, w = pose[:, 2:].T / np.abs(pose[:, 2:]).max(axis=1)  # their squares do not underflow
+    yaw = np.degrees(np.arctan2(2 * (w * z + x * y), w**2 + x**2 - y**2 - z**2))
+    return replace(pose_table(name, source, time_ns, -yaw, -left, ahead), axes="ahead, left")
 
 
 def _times_ns(path: Path, table: Table) -> IntArray:
@@ -137,10 +188,9 @@ def read_topic(path: Path, topic: str, time: Clock) -> PoseTable:
     if len(problems) > MAX_PROBLEM_LINES:
         more = len(problems) - MAX_PROBLEM_LINES
         problems[MAX_PROBLEM_LINES:] = [f"{number_of(more, 'more pose')} of {topic} skipped"]
-    ahead, left, x, y, z, w = np.array([*poses.values()]).T
-    yaw = np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2)))
-    table = pose_table(topic, {"topic": topic}, np.array([*poses], np.int64), -yaw, -left, ahead)
-    return replace(table, problems=tuple(problems), axes="ahead, left")
+    times_ns, poses_xy_q = np.array([*poses], np.int64), np.array([*poses.values()])
+    table = _ros_table(topic, {"topic": topic}, times_ns, poses_xy_q)
+    return replace(table, problems=tuple(problems))
 
 
 def _decoders(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, ...]]]:
@@ -169,7 +219,7 @@ def _decoders(log: Recording, topic: str) -> dict[int, tuple[Decode, tuple[str, 
 def _pose(
     message: Message, time: Clock, decode: Decode, path_to_pose: tuple[str, ...]
 ) -> tuple[int, list[float]]:
-    """(time in ns, [x, y, qx, qy, qz, qw]: position in m, orientation as a unit quaternion)."""
+    """(time in ns, [x, y, qx, qy, qz, qw]: position in m, orientation as a quaternion)."""
     if message.data is None:
         raise UnusableError(str(message.problem))
     fields = pose = Fields(decode(message.data))
@@ -177,12 +227,11 @@ def _pose(
         pose = pose.inner(name)
     position = pose.inner("position")
     orientation = [pose.inner("orientation").number(k) for k in "xyzw"]
-    length = math.hypot(*orientation)
-    if not length:
+    if not any(orientation):
         raise UnusableError("its orientation is all zeros")
     stamps = Stamps(message.log_time, message.publish_time, fields.stamp_ns())
     if (stamp := getattr(stamps, time)) is None:
         raise UnusableError(f"without a {time} time")
     if stamp >= 2**63:
         raise UnusableError(f"its {time} time of {stamp} ns is beyond every clock")
-    return stamp, [*(position.number(k) for k in "xy"), *(v / length for v in orientation)]
+    return stamp, [*(position.number(k) for k in "xy"), *orientation]

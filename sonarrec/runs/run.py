@@ -231,7 +231,7 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     time : {"log", "publish", "header"}, optional
         Which time of a message becomes the time of its frame. Default: log.
     odometry : str or Path, optional
-        A CSV of the sonar's poses.
+        A table of the sonar's poses, CSV or in TUM form.
     frames : tuple of int, optional
         (first, end): only these frames, without `end`, which may be None: to the last. They keep
         their numbers.

@@ -1,4 +1,5 @@
-"""Converts COCO annotations to gt.csv: labels to IDs, images to frames, centres to fan pixels."""
+"""Converts COCO annotations to gt.csv: labels to IDs, images to frames, centres to fan pixels. And
+gt.csv to COCO."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import unquote
 
@@ -13,20 +15,22 @@ import cv2
 import msgspec
 import numpy as np
 
-from sonarrec.arrays import FloatArray
+from sonarrec.drawing.pen import disc_outline
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
-from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
+from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
+from sonarrec.results.folders import possible_names
 from sonarrec.tables import composed, natural_order, something_else
-from sonarrec.tables.read import ID_IN_LABELS
-from sonarrec.truth.match import share_in_image
-from sonarrec.truth.table import HEADER, write_truth
+from sonarrec.tables.read import ID_IN_LABELS, LARGEST, NONE
+from sonarrec.truth.check import misfit, report_other_logs
+from sonarrec.truth.coco import ATTRIBUTES, HALF_A_PIXEL, ImageObject, pictures_of, write_coco
+from sonarrec.truth.match import match_truth, share_in_image
+from sonarrec.truth.table import HEADER, read_cells, read_truth, write_truth
 
+MOST_ROUNDING_PX = 0.1
 PARTLY_HIDDEN = 0.5  # `visible` of a shape flagged as occluded; the flag does not say by how much
-HALF_A_PIXEL = 0.5  # tools put (0, 0) at the image's corner, we at the centre of its first pixel
 _PLAIN_LABEL = re.compile(rf"(?:{ID_IN_LABELS})?(\d{{1,18}})", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"[0-9]{1,18}$")
 # Label Studio puts a hash before the names of images, Roboflow one behind.
@@ -71,15 +75,16 @@ def convert(
     labels: Mapping[str, int | None] | None = None,
     first_frame: int = 0,
     log: Log | None = None,
-) -> tuple[dict[int, int], Diagnostics]:
-    """Write the annotations in a COCO document as `out`, a new gt.csv; (rows per ID, faults and
-    notes).
+) -> tuple[dict[str, int], Diagnostics]:
+    """Write the annotations in a COCO document as `out`, a new gt.csv; (rows per ID or none, faults
+    and notes).
 
     The centre of an object is that of its only labelled keypoint, else of its polygon, else of its
-    box. labels: the ID for labels that do not show it themselves; None leaves a label out.
-    first_frame: the number that the names of the images give the log's first frame. log: finds
-    frames by image name, turns polar pixels into fan pixels, and limits `visible` to the share of
-    the disc inside the fan. Raises SonarrecError if nothing can be used or `out` exists,
+    box; ATTRIBUTES become columns. labels: the ID for labels that do not show it themselves; None
+    leaves a label out. first_frame: the number that the names of the images give
+    the log's first frame. log: finds frames by image name, turns polar pixels into fan pixels, and
+    limits a `visible` that is not stated to the share of the disc inside the fan. Raises
+    SonarrecError if nothing can be used or `out` exists,
     UsageError if `labels` are invalid.
     """
     try:
@@ -96,7 +101,8 @@ def convert(
     diagnostics = Diagnostics()
     images = {image.id: image for image in coco.images}
     names = {one.id: one.name for one in coco.categories}
-    found, without = [], []  # (image, label, x, y, visible); the annotations that have no centre
+    # (image, label, x, y, visible, texts of ATTRIBUTES); the annotations that have no centre
+    found, without = [], []
     for n, one in enumerate(coco.annotations):
         if one.image_id not in images or one.category_id not in names:
             raise SonarrecError(f"{source}: annotations[{n}] names an image or category not listed")
@@ -105,13 +111,15 @@ def convert(
         if centre is None:
             without.append(n)
         else:
-            found.append((images[one.image_id], names[one.category_id], *centre))
+            found.append(
+                (images[one.image_id], names[one.category_id], *centre, _attribute_cells(one))
+            )
     if without:
         more = f"such as annotations[{without[0]}]"
         diagnostics.problem(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
-    within_one = [max(map(abs, centre[:2])) <= 1 for _, _, *centre in found]
+    within_one = [max(abs(one[2]), abs(one[3])) <= 1 for one in found]
     if 2 * sum(within_one) > len(found):
         raise SonarrecError(
             f"{source}: {sum(within_one)} of {len(found)} shapes lie within the first pixel, as if "
@@ -128,7 +136,9 @@ def convert(
         )
     if log is not None and (other := _other_folder(coco.images, find_log(log.path).location)):
         diagnostics.problem(other)
-    frames, rule = _frames_of([image.file_name for image in coco.images], first_frame, log)
+    pictures = None if log is None else pictures_of(log)
+    in_log = pictures.files if pictures else ()
+    frames, rule = _frames_of([image.file_name for image in coco.images], first_frame, in_log)
     if min(frames.values(), default=0) < 0 or len(set(frames.values())) < len(frames):
         raise SonarrecError(
             f"{source}: images before the log's first frame, or two of one frame ({rule}); give "
@@ -141,19 +151,41 @@ def convert(
     used = [one for one in found if one[1] in ids and one[0].file_name in frames]
     if diagnostics.problems and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
-    x, y, visible = np.array([one[2:] for one in used], float).reshape(-1, 3).T
-    if log is not None and used:
-        sizes = {(image.width, image.height) for image, *_ in used}
-        x, y, shown = _in_fan_pixels(source, sizes, log, x, y, landmarks.radius_m)
-        visible = np.minimum(visible, shown)
+    x, y, visible = np.array([one[2:5] for one in used], float).reshape(-1, 3).T
+    if pictures and used:
+        size, *others = {(image.width, image.height) for image, *_ in used}
+        of_discs = pictures.polar((None, None) if others else size, x, y)
+        x, y = pixel_from_polar(pictures.fan, *of_discs)
+        visible = np.minimum(visible, share_in_image(pictures.fan, *of_discs, landmarks.radius_m))
+    extra = [c for c in ATTRIBUTES[1:] if any(one[-1][c] for one in used)]
     rows = {
-        (frames[image.file_name], ids[label], f"{x[n]:.2f}", f"{y[n]:.2f}", f"{visible[n]:.3f}")
-        for n, (image, label, *_) in enumerate(used)
+        (
+            *(frames[image.file_name], ids[label], f"{x[n]:.2f}", f"{y[n]:.2f}"),
+            f"{float(texts['visible'] or visible[n]):.3f}",
+            *(texts[c] for c in extra),
+        )
+        for n, (image, label, *_, texts) in enumerate(used)
     }
-    write_truth(out, HEADER.split(","), sorted(rows))
+    names_of_ids = {i: f"ID.{i}" for i in landmarks.ids} | {NONE: "none"}
+    written = [(n, "none" if i == NONE else i, *cells) for n, i, *cells in sorted(rows)]
+    write_truth(out, [*HEADER.split(","), *extra], written)
     diagnostics.note(rule)
     counts = Counter(row[1] for row in rows)
-    return {i: counts[i] for i in landmarks.ids if counts[i]}, diagnostics
+    return {name: counts[i] for i, name in names_of_ids.items() if counts[i]}, diagnostics
+
+
+def _attribute_cells(one: _Annotation) -> dict[str, str]:
+    """The text of each of ATTRIBUTES; empty if not stated, or invalid. CVAT renumbers tracks."""
+    given = (one.attributes or {}).items()
+    stated = {str(k).lower(): str(v).strip() for k, v in given if v is not None}
+    stated.setdefault("track", stated.get("track_id", ""))
+    for column, least, most in (("visible", 0, 1), ("orientation_deg", -LARGEST, LARGEST)):
+        try:
+            is_valid = least <= float(stated.get(column, "")) <= most
+        except ValueError:
+            is_valid = False
+        stated[column] = stated[column] if is_valid else ""
+    return {column: stated.get(column, "") for column in ATTRIBUTES}
 
 
 def _centre(one: _Annotation) -> tuple[float, float, float] | None:
@@ -199,6 +231,8 @@ def _landmark_ids(
         plain = _PLAIN_LABEL.fullmatch(label.strip())
         if plain is not None and int(plain[1]) in landmarks.ids:
             ids[label] = int(plain[1])
+        elif label.strip() == "none":
+            ids[label] = NONE
         else:
             diagnostics.problem(
                 f"label {label!r} ({number_of(labels[label], 'shape')}) is no ID of "
@@ -220,9 +254,9 @@ def _other_folder(images: Sequence[_Image], log: Path) -> str:
 
 
 def _frames_of(
-    images: Sequence[str], first_frame: int, log: Log | None
+    images: Sequence[str], first_frame: int, in_log: Sequence[Path]
 ) -> tuple[dict[str, int], str]:
-    """(the frame of each image that has one, the rule).
+    """(the frame of each image that has one, the rule). in_log: the log's own images.
 
     An image is found by its name in the log, in any folder and with any suffix. If the log has no
     names, the number at the end of every name counts; else the natural order of the names.
@@ -231,7 +265,6 @@ def _frames_of(
         name: composed(Path(unquote(name.replace("\\", "/").partition("?")[0])).stem)
         for name in images
     }
-    in_log = [] if log is None else [file for file in find_log(log.path).files if is_image(file)]
     of_log = {composed(file.stem): n for n, file in enumerate(in_log)}
     if not of_log.keys() & stems.values():
         stems = {name: _HASH.sub("", stem) for name, stem in stems.items()}
@@ -249,41 +282,48 @@ def _frames_of(
     return {name: n for n, name in enumerate(order)}, by_order
 
 
-def _in_fan_pixels(
-    source: Path, sizes: set[Any], log: Log, x: FloatArray, y: FloatArray, radius_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(column, row, share of the disc in the image), each (N,), in the log's fan images.
+def truth_to_coco(
+    source: Path, out: Path, landmarks: LandmarkSet, log: Log
+) -> tuple[str, Diagnostics]:
+    """Write the rows of a gt.csv on a log as `out`, a new COCO file with all frames of the log;
+    (a line on it, faults and notes).
 
-    sizes: (columns, rows) of the annotated images.
+    Raises SonarrecError if the truth has no positions or cannot be the log's, or `out` exists.
     """
-    fan = next(iter(log)).fan
-    sonar = log.sonar
-    bins = round(fan.window_m / fan.metres_per_pixel)
-    beams = len(sonar.bearings_deg) if sonar.bearings_deg else 0
-    if sizes == {(fan.columns, fan.rows)}:
-        if sonar.layout != "polar" and sonar.flip:
-            x = fan.columns - 1 - x
-        range_m, bearing_deg = polar_from_pixel(fan, x, y)
-    elif sonar.layout == "polar" and len(sizes) == 1 and None not in (size := sizes.pop()):
-        if sonar.beam_order == "beam-major":
-            x, y, size = y, x, size[::-1]
-        if size != (beams or size[0], bins):
-            raise SonarrecError(f"{source}: drawn on images of another size than the log's")
-        if sonar.range_order == "far_first":
-            y = bins - 1 - y
-        geometry = sonar.complete(str(source))
-        bearing_deg = _between_samples(x, beam_bearings(geometry, size[0]))
-        bearing_deg = -bearing_deg if sonar.flip else bearing_deg
-        range_m = _between_samples(y, bin_ranges(geometry, bins))
-        x, y = pixel_from_polar(fan, range_m, bearing_deg)
-    else:
-        raise SonarrecError(f"{source}: drawn on images of another size than the log's, or of none")
-    return x, y, share_in_image(fan, range_m, bearing_deg, radius_m)
-
-
-def _between_samples(index: FloatArray, values: FloatArray) -> FloatArray:
-    """(N,) values at (N,) indices between samples, and beyond them, where a disc that the image's
-    edge cuts may have its centre."""
-    last, steps = len(values) - 1, np.diff(values)
-    beyond = np.minimum(index, 0) * steps[0] + np.maximum(index - last, 0) * steps[-1]
-    return np.asarray(np.interp(index, np.arange(last + 1), values) + beyond)
+    table, diagnostics = read_truth(source), Diagnostics()
+    if table.position is None:
+        raise SonarrecError(f"{source}: no positions (x_px,y_px or range_m,bearing_deg) to draw")
+    pictures = pictures_of(log)
+    index, times = np.array([(frame.index, frame.timestamp_ns) for frame in log], np.int64).T
+    name = table.name_of(possible_names(log.name, find_log(log.path).location.resolve()))
+    of_log = {"name": name, "landmarks": landmarks, "fan": pictures.fan, "frame": index}
+    frames: Any = SimpleNamespace(**of_log, timestamp_ns=times)  # a ReadLog
+    header, cells = read_cells(source)
+    objects = list[ImageObject]()
+    for strangers in (False, True):
+        truth = match_truth(table, frames, strangers=strangers)
+        if not strangers and (why := misfit(table, frames, truth)):
+            raise SonarrecError(why)
+        if lost := truth.unprocessed + truth.between:
+            diagnostics.problem(f"{source}: {number_of(lost, 'row')} on no frame of the log")
+        centres = truth.pixels(pictures.fan)
+        assert centres is not None
+        if table.pixel is not None:  # stated besides metres, and perhaps rounded otherwise
+            own = table.pixel[truth.row]
+            centres = np.where(np.abs(own - centres) < MOST_ROUNDING_PX, own, centres)
+        ids = [(*landmarks.ids, NONE)[k] for k in truth.landmark_index]
+        of_rows = zip(
+            index[truth.frame_index].tolist(), ids, centres.tolist(), truth.row, strict=True
+        )
+        for frame, landmark, (x, y), row in of_rows:
+            stated = dict(zip(header, map(str.strip, cells[row]), strict=False))
+            attributes: dict[str, Any] = {c: stated[c] for c in ATTRIBUTES[2:] if stated.get(c)}
+            if table.orientation is not None and np.isfinite(table.orientation[row]):
+                attributes["orientation_deg"] = float(table.orientation[row])
+            attributes["visible"] = float(table.visible[row])
+            outline = disc_outline(pictures.fan, landmarks.radius_m, x, y)
+            objects.append(ImageObject(frame, landmark, x, y, outline, attributes))
+    report_other_logs(diagnostics, table, [name], "they are left out")
+    diagnostics.problem(*log.diagnostics.problems)
+    objects.sort(key=lambda one: one[:4])
+    return write_coco(out, landmarks, pictures, index.tolist(), objects), diagnostics

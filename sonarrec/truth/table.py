@@ -161,12 +161,14 @@ def repeated_rows(table: TruthTable) -> IntArray:
     return np.asarray(pairs[np.argsort(pairs[:, 1])], dtype=np.int64)
 
 
-def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a new gt.csv, all of it or nothing. Raises SonarrecError if it exists or that fails.
-
-    An existing file is never replaced, since a person may have corrected it by hand.
-    """
+def check_new(path: Path) -> None:
+    """Raise SonarrecError if a file exists, since a person may have corrected it by hand."""
     if os.path.lexists(path):
         raise SonarrecError(f"{path}: exists already and is left as it is; choose another --out")
+
+
+def write_truth(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a new gt.csv, all of it or nothing. Raises SonarrecError if it exists or that fails."""
+    check_new(path)
     with writing(path):
         write_csv(path, header, rows)

@@ -27,6 +27,7 @@ from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
 from tests.support.messages import serialised
+from tests.support.rows import read_rows
 from tests.support.slow import but_first
 
 HEIGHT = 0.68
@@ -214,6 +215,94 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
 def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
     path = rows(tmp_path / "odometry.csv", text)
     with pytest.raises(SonarrecError, match=r"odometry\.csv") as told:
+        read_poses(path)
+    assert fault in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+# Poses in TUM form
+
+
+angle = st.floats(-1.3, 1.3)
+
+
+@settings(max_examples=60)
+@given(
+    yaw=st.floats(-math.pi, math.pi),
+    pitch=angle,
+    roll=angle,
+    moved=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-50, 50)),
+    length=st.sampled_from([1.0, -1.0, 1e-200, 3.0]),
+)
+def test_poses_in_tum_form_have_the_heading_of_their_x_axis(
+    tmp_path_factory, yaw, pitch, roll, moved, length
+):
+    """Half angles of yaw, pitch and roll make the quaternion; the heading is that of the rotated x
+    axis on the floor, counted to the right. Roll, pitch and height have no part in it."""
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    quaternion = (
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+        cy * cp * cr + sy * sp * sr,
+    )
+    cells = " ".join(repr(v) for v in (*moved, *(length * q for q in quaternion)))
+    text = (
+        f"# timestamp tx ty tz qx qy qz qw\n1763700000.25 0 0 0 0 0 0 1\n\n1763700000.5\t{cells}\n"
+    )
+    table = read_poses(rows(tmp_path_factory.mktemp("tum") / "a.tum", text))
+    motion = table.motion(*table.time_ns.tolist())
+    assert motion is not None
+    assert np.diff(table.time_ns) == pytest.approx([250_000_000], abs=512)  # of 64 bits since 1970
+    assert math.cos(math.radians(motion.pan_deg)) == pytest.approx(math.cos(yaw), abs=1e-9)
+    assert math.sin(math.radians(motion.pan_deg)) == pytest.approx(-math.sin(yaw), abs=1e-9)
+    assert (motion.ahead_m, -motion.right_m) == pytest.approx(moved[:2])
+    # Positions of a map are in the file's own axes.
+    place = table.position(int(table.time_ns[1]), 0.0, 1.0)
+    assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
+
+
+def test_a_run_with_poses_in_tum_form_is_that_with_the_table(pings):
+    scene = replace(load_scene("sample_pan"), frames=16)
+    half = [-math.radians(p.pan_deg) / 2 for p in poses(scene)]
+    lines = [f"{i / 4} 5 6 7 0 0 {math.sin(h)} {math.cos(h)}" for i, h in enumerate(half)]
+    tum = rows(Path("poses.tum"), "\n".join(["# from evo", *lines]) + "\n")
+    sonarrec("run", pings, "--odometry", tum, "-o", "tum")
+    sonarrec("run", pings, "--odometry", pan_table(Path("table.csv")), "-o", "table")
+    found = [
+        np.loadtxt(Path(out) / "pings/estimates.csv", delimiter=",", skiprows=1, usecols=(0, 3, 4))
+        for out in ("tum", "table")
+    ]
+    np.testing.assert_allclose(*found, atol=0.02)
+    places = {}
+    for out in ("tum", "table"):
+        sonarrec("map", f"{out}/pings")
+        places[out] = [
+            (float(row["x_m"]), float(row["y_m"]))
+            for row in read_rows(Path(out, "pings/map/map.csv"))
+        ]
+    # The map has the axes of the file: x is ahead, y to the left.
+    assert places["tum"] == [pytest.approx((5 + y, 6 - x), abs=0.01) for x, y in places["table"]]
+    assert places["tum"]
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 1\n", "line 2: a pose in TUM form is 8 finite numbers"),
+        ("0 1 2 3 0 0 0 1\n# a\n1 1 2 3 0 0 x 1\n", "line 3: a pose in TUM form"),
+        ("0 1 2 3 0 0 nan 1\n1 1 2 3 0 0 0 1\n", "line 1: a pose in TUM form"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 0\n", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1\n1 1e12 2 3 0 0 0 1\n", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1\n", "two times"),
+        ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1\n", "steps of 100 are neither"),
+    ],
+)
+def test_a_fault_in_tum_form_has_its_line(tmp_path, text, fault):
+    path = rows(tmp_path / "poses.csv", text)
+    with pytest.raises(SonarrecError, match=r"poses\.csv") as told:
         read_poses(path)
     assert fault in str(told.value)
     assert "\n" not in str(told.value)
