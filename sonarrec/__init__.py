@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from sonarrec.api.evaluate import compare, evaluate
     from sonarrec.config import preset
-    from sonarrec.evaluation.compare import compare
-    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
     from sonarrec.mapping.write import map_landmarks
     from sonarrec.overlays.overlay import overlay
@@ -31,8 +30,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 _HOMES = {
     "Recogniser": "runs.run",
-    "compare": "evaluation.compare",
-    "evaluate": "evaluation.evaluate",
+    "compare": "api.evaluate",
+    "evaluate": "api.evaluate",
     "load_landmarks": "landmarks",
     "map_landmarks": "mapping.write",
     "open_log": "readers",

@@ -21,9 +21,10 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"truth", "runs"},
-    {"evaluation", "overlays", "learning", "mapping"},
-    {"reports"},
-    {"simulation"},
+    {"evaluation", "overlays", "mapping"},
+    {"advice"},
+    {"learning", "reports"},
+    {"simulation", "api"},
     {"cli"},
     {"__main__"},
 )
@@ -34,21 +35,22 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2890,
+    "advice": 830,
+    "cli": 2895,
     "drawing": 735,
-    "evaluation": 3930,
+    "evaluation": 3351,
     "geometry": 415,
-    "learning": 556,
+    "learning": 530,
     "mapping": 1392,
     "overlays": 547,
     "readers": 6258,
     "recogniser": 6441,
-    "reports": 2126,
+    "reports": 2127,
     "results": 1956,
     "runs": 1766,
     "simulation": 2505,
     "tables": 1012,
-    "truth": 1269,
+    "truth": 980,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""
