@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from sonarrec.api.evaluate import compare, evaluate
+    from sonarrec.api.run import run
     from sonarrec.config import preset
     from sonarrec.landmarks import load_landmarks
     from sonarrec.mapping.write import map_landmarks
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from sonarrec.readers import open_log
     from sonarrec.reports.build import report
     from sonarrec.results.read import read_results
-    from sonarrec.runs.run import Recogniser, run
+    from sonarrec.runs.run import Recogniser
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -39,7 +40,7 @@ _HOMES = {
     "preset": "config",
     "read_results": "results.read",
     "report": "reports.build",
-    "run": "runs.run",
+    "run": "api.run",
     "simulate": "simulation.simulate",
 }
 __all__ = [

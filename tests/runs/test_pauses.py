@@ -14,6 +14,7 @@ import pytest
 
 from sonarrec import evaluate
 from sonarrec.advice.rows import check_truth
+from sonarrec.api.run import run
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays import overlay as overlays
@@ -21,7 +22,6 @@ from sonarrec.readers import open_log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.records import Frame, FrameResult
 from sonarrec.results.read import read_log
-from sonarrec.runs.run import run
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from sonarrec.simulation.simulate import simulate
