@@ -35,7 +35,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1011,
+    "advice": 1010,
     "cli": 2899,
     "drawing": 712,
     "evaluation": 3351,
@@ -43,11 +43,11 @@ MOST_LINES = {
     "learning": 530,
     "mapping": 1392,
     "overlays": 547,
-    "readers": 6214,
+    "readers": 6181,
     "recogniser": 6441,
     "reports": 2127,
     "results": 1956,
-    "runs": 1603,
+    "runs": 1605,
     "simulation": 2505,
     "tables": 1012,
     "truth": 980,

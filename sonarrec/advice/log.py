@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,8 @@ from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
 from sonarrec.geometry import fan_mask, floor_depth, pixel_from_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
-from sonarrec.readers.first_frames import FirstFrames
 from sonarrec.readers.log import Log
-from sonarrec.records import Fan
+from sonarrec.records import Fan, Frame
 from sonarrec.results.run_file import rerun
 from sonarrec.runs.one import EndedRun
 from sonarrec.sonar import Sonar
@@ -34,7 +33,7 @@ LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long 
 STEEP_TILT_DEG = 60.0  # of tilts that are assumed
 
 
-def of_log(log: Log, first: FirstFrames) -> Iterator[Advice]:
+def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
     """On the geometry of a log that was read. first: its first frames."""
     yield from map(Advice, contradictions(first, log.sonar))
     if log.fan is not None and (steep := _steep(log.sonar, log.fan.tilt_deg)):
@@ -83,13 +82,13 @@ def of_run(ended: EndedRun) -> Iterator[Advice]:
     )
 
 
-def contradictions(first: FirstFrames, sonar: Sonar) -> list[str]:
+def contradictions(first: Sequence[Frame], sonar: Sonar) -> list[str]:
     """A line, with the keys to look at, if there are echoes outside of the stated fan, or if it
     exceeds the picture: clear cases only. None without fan images. sonar: the geometry as
     stated."""
-    fan, picture = first.fan, first.mean
-    if fan is None or picture is None:
+    if not first or first[0].polar is not None:
         return []
+    fan, picture = first[0].fan, np.mean([frame.pixels for frame in first], axis=0)
     outside = fan_mask(fan) == 0
     share = _echoes(picture[outside])
     if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:

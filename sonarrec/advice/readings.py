@@ -384,7 +384,7 @@ def _shift(frames: int, log: LogResults) -> str:
 
 
 def _without_rows(matched: Matched, claims: Table) -> Iterator[str]:
-    """What is told if rows are on some frames only, or a long beginning or end has none, and most
+    """What is said if rows are on some frames only, or a long beginning or end has none, and most
     of the other frames have claims."""
     if len(unseen := _between_rows(matched, claims)):
         labelled = len(np.unique(matched.truths["at"]))

@@ -232,10 +232,10 @@ def score_logs(
         if once.add(score.log.results[-1], score.recording):
             kept.append(score)
             if advise is not None and score.fault is None:
-                told = Diagnostics()
-                told.advise(advise(log, tables, options))
-                score.unused[:0] = told.problems
-                score.notes += told.notes
+                lines = Diagnostics()
+                lines.advise(advise(log, tables, options))
+                score.unused[:0] = lines.problems
+                score.notes += lines.notes
             for counts, matched in zip(sides_of[score.ids], tables.matched, strict=False):
                 counts.add(matched)
         del tables  # before the next log is read

@@ -11,15 +11,15 @@ from typing import Any
 
 from sonarrec.errors import Advice, Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.readers.first_frames import FirstFrames
-from sonarrec.readers.log import Log
+from sonarrec.readers.log import FIRST_FRAMES, Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.raw import RawLog, StoredFrame
+from sonarrec.records import Frame
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]
-Advise = Callable[[Log, FirstFrames], Iterable[Advice]]
+Advise = Callable[[Log, Sequence[Frame]], Iterable[Advice]]
 MOST_TOPICS = 8
 """Image topics of a log that are read when none is chosen; each takes a pass over the log."""
 
@@ -234,14 +234,14 @@ def _images(
         if observe is not None:
             observe(raw.frame_count)
 
-    first = FirstFrames()
+    first = list[Frame]()
     with Log(source, complete, raw, "log", inspect) as log:
         try:
             if not raw.polar:
                 complete.complete(where)
             for frame in islice(log, 1 if quick else None):
                 usable += 1
-                first.add(frame)
+                first += [frame] if len(first) < FIRST_FRAMES else []
         except SonarrecError as error:
             found.problems = [] if log.diagnostics.problems else [str(error)]
     found.problems = log.diagnostics.skipped or found.problems

@@ -12,7 +12,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from sonarrec.errors import SonarrecError, is_url
-from sonarrec.readers.first_frames import FirstFrames
+from sonarrec.readers.log import FIRST_FRAMES
 from sonarrec.readers.open import find_log, log_name, results_name
 from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of, rerun_left
@@ -31,7 +31,8 @@ class EndedRun(NamedTuple):
 
     job: Job
     run: PreparedRun
-    first: FirstFrames
+    first: Sequence[Frame]
+    """Its first FIRST_FRAMES."""
     has_sightings: bool
     """Whether any landmark was declared."""
 
@@ -136,7 +137,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 )
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        first = FirstFrames()
+        first = list[Frame]()
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
             _recognise(run, writer, first, observe)
@@ -165,7 +166,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
 def _recognise(
     run: PreparedRun,
     writer: ResultsWriter,
-    first: FirstFrames,
+    first: list[Frame],
     observe: Observe | None,
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
@@ -174,7 +175,8 @@ def _recognise(
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            first.add(frame)
+            if len(first) < FIRST_FRAMES:
+                first.append(frame)
             yield frame
 
     try:

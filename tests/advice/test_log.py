@@ -13,7 +13,7 @@ import pytest
 
 from sonarrec.advice.log import contradictions
 from sonarrec.readers import open_log
-from sonarrec.readers.first_frames import FRAMES, FirstFrames
+from sonarrec.readers.log import FIRST_FRAMES
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
@@ -25,17 +25,12 @@ RNG = np.random.default_rng(3)
 
 def doubts(log: Path, **stated: float | str) -> list[str]:
     """What is told of a log, with keys of its geometry replaced."""
-    first = FirstFrames()
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
-        for frame in islice(opened, FRAMES):
-            first.add(frame)
-        return contradictions(first, opened.sonar)
+        return contradictions([*islice(opened, FIRST_FRAMES)], opened.sonar)
 
 
 def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
-    first = FirstFrames()
-    first.add(Frame(0, 0, image, fan))
-    return contradictions(first, Sonar())
+    return contradictions([Frame(0, 0, image, fan)], Sonar())
 
 
 def floor(fan: Fan) -> np.ndarray:
