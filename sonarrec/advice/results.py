@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from sonarrec.advice.readings import of_claims
-from sonarrec.advice.truth import of_truth
+from sonarrec.advice.truth import of_truth, outside, unread_columns
 from sonarrec.errors import Advice, SonarrecError, command_line
 from sonarrec.evaluation.evaluate import LogTables, LogToScore
 from sonarrec.evaluation.rows import ScoringOptions, match
@@ -28,9 +28,11 @@ def of_results(log: LogToScore, tables: LogTables, options: ScoringOptions) -> I
         matched = match(
             results, truth, options.min_visible, ids, within_m=within_m, labelled_only=True
         )
+    yield from of_truth(table, results, truth, options.min_visible)
     yield from of_claims(table, results, matched, options)
-    check = _check_of(table.path, results, options)
-    yield from of_truth(table, results, truth, options.min_visible, check)
+    if unread := unread_columns(table):
+        yield Advice(unread, grave=True)
+    yield from outside(table, results, truth, _check_of(table.path, results, options))
     yield from (Advice(line) for folder in log.results for line in rerun_left(folder))
     yield from _of_clock(results)
 

@@ -21,12 +21,10 @@ MOST_ADJACENT = 0.1  # of the steps between labelled frames, if every n-th is la
 FEWEST = 5  # so many frames at least for a note on a pattern in them
 
 
-def of_truth(
-    table: TruthTable, log: ReadLog, truth: Truth, min_visible: float, check: str = ""
-) -> Iterator[Advice]:
+def of_truth(table: TruthTable, log: ReadLog, truth: Truth, min_visible: float) -> Iterator[Advice]:
     """On the truth of one log that is scored. truth: as matched to all frames of the log.
 
-    min_visible: from which share in view a landmark counts. check: as of `outside`.
+    min_visible: from which share in view a landmark counts.
     """
     path, name = table.path, log.name
     if proposed := unchecked(table, name):
@@ -39,9 +37,6 @@ def of_truth(
         )
     if other := of_another_geometry(table, table.rows_of(name), log.fan, name):
         yield Advice(f"{path}: {other}", grave=True)
-    if unread := unread_columns(table):
-        yield Advice(unread, grave=True)
-    yield from outside(table, log, truth, check)
 
 
 def unread_columns(table: TruthTable) -> str:
