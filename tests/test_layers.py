@@ -315,6 +315,11 @@ def test_imports_run_downward_only() -> None:
             "from sonarrec.evaluation import counts",
             "uphill from evaluation.counts",
         ),
+        (
+            "evaluation.evaluate",
+            "def f():\n    from sonarrec.advice.results import of_results",
+            "uphill from advice",
+        ),
         ("runs.one", "import click", "runs.one must not import click"),
         (
             "runs.one",

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sonarrec.advice.results import of_results
 from sonarrec.advice.truth import outside, sparse
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.landmarks import load_landmarks
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
@@ -85,3 +88,13 @@ def test_many_positions_outside_the_image_are_a_problem(
     (line,) = outside(table, log, match_truth(table, log))
     assert f"{count} of 40 positions lie outside" in line.text
     assert line.grave == is_problem
+
+
+def test_scoring_by_itself_advises_nothing_and_gives_the_same_counts(tmp_path: Path) -> None:
+    write_crossing(tmp_path, "{n},1,2.0,{turned},1", range(24))
+    results, truth = tmp_path / "out", tmp_path / "gt.csv"
+    alone = evaluate_logs(results, truth)
+    advised = evaluate_logs(results, truth, ScoringOptions(), of_results)
+    assert not alone.unused
+    assert len(advised.unused) == 1
+    assert alone.confusion.equals(advised.confusion)
