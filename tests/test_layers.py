@@ -35,7 +35,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1046,
+    "advice": 1055,
     "cli": 2900,
     "drawing": 683,
     "evaluation": 3351,
@@ -47,7 +47,7 @@ MOST_LINES = {
     "recogniser": 6441,
     "reports": 2127,
     "results": 1956,
-    "runs": 1605,
+    "runs": 1600,
     "simulation": 2505,
     "tables": 1012,
     "truth": 980,

@@ -54,6 +54,11 @@ def of_run(ended: EndedRun) -> Iterator[Advice]:
             f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m and the range "
             f"window: {_preview(ended)}"
         )
+    if run.poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
+        yield Advice(
+            "the run does not use the poses, since plates may lie at any angle; if they lie on the "
+            f'floor, state pose = "floor" in the landmarks {landmarks.name}'
+        )
     for why in (_hardly_seen(fan, landmarks), _steep(log.sonar, fan.tilt_deg)):
         if why:
             yield Advice(why)
