@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from sonarrec.api.evaluate import compare, evaluate
+    from sonarrec.api.run import run
     from sonarrec.config import preset
-    from sonarrec.evaluation.compare import compare
-    from sonarrec.evaluation.evaluate import evaluate
     from sonarrec.landmarks import load_landmarks
     from sonarrec.mapping.write import map_landmarks
     from sonarrec.overlays.overlay import overlay
     from sonarrec.readers import open_log
     from sonarrec.reports.build import report
     from sonarrec.results.read import read_results
-    from sonarrec.runs.run import Recogniser, run
+    from sonarrec.runs.run import Recogniser
     from sonarrec.simulation.simulate import simulate
 
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
@@ -31,8 +31,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 _HOMES = {
     "Recogniser": "runs.run",
-    "compare": "evaluation.compare",
-    "evaluate": "evaluation.evaluate",
+    "compare": "api.evaluate",
+    "evaluate": "api.evaluate",
     "load_landmarks": "landmarks",
     "map_landmarks": "mapping.write",
     "open_log": "readers",
@@ -40,7 +40,7 @@ _HOMES = {
     "preset": "config",
     "read_results": "results.read",
     "report": "reports.build",
-    "run": "runs.run",
+    "run": "api.run",
     "simulate": "simulation.simulate",
 }
 __all__ = [

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 AnyPath = TypeVar("AnyPath")
 
@@ -140,6 +140,14 @@ MOST_OF_A_KIND = 3
 """The most faults, equal but for numbers, with a line of their own; then a count."""
 
 
+class Advice(NamedTuple):
+    """A line on what may be wrong: what is so, why, and what to do."""
+
+    text: str
+    grave: bool = False
+    """Whether it is a problem, so that the exit code is 3; else it is a note."""
+
+
 class Diagnostics:
     """Notes and faults of one log. Every part of the program adds to them; the commands print them.
 
@@ -171,6 +179,11 @@ class Diagnostics:
     def problem(self, *lines: str) -> None:
         """Add what else could not be used."""
         _add(self._others, lines)
+
+    def advise(self, lines: Iterable[Advice]) -> None:
+        """Add lines of advice, each by how grave it is."""
+        for line in lines:
+            (self.problem if line.grave else self.note)(line.text)
 
     def skip(self, frame: str, why: object) -> None:
         """Add a frame that could not be used, and why."""

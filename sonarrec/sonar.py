@@ -15,7 +15,6 @@ from sonarrec.records import BeamOrder, ColourMap
 from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
-STEEP_TILT_DEG = 60.0  # of tilts that are assumed; a steeper one gets a note
 STEEPEST_TILT_DEG = 89.0  # of tilts that are assumed; at 90 every disc would be a line (Eq. 1)
 RangeOrder = Literal["near_first", "far_first"]
 
@@ -144,15 +143,6 @@ class Sonar:
             bearings_deg=beams,
             ranges_m=self.ranges_m,
             flip=flip,
-        )
-
-    def steep(self, tilt_deg: float) -> str | None:
-        """Why the height may be wrong from which tilt_deg follows; None if nothing is odd."""
-        if self.tilt_deg is not None or self.height_m is None or tilt_deg <= STEEP_TILT_DEG:
-            return None
-        return (
-            f"height {self.height_m:g} m puts the sonar almost straight above the floor "
-            f"(tilt {tilt_deg:.0f} deg); is it in metres?"
         )
 
     def contradiction(self) -> str | None:

@@ -21,9 +21,10 @@ FLOORS = (
     {"geometry"},
     {"recogniser", "readers", "results", "drawing"},
     {"truth", "runs"},
-    {"evaluation", "overlays", "learning", "mapping"},
-    {"reports"},
-    {"simulation"},
+    {"evaluation", "overlays", "mapping"},
+    {"advice"},
+    {"learning", "reports"},
+    {"simulation", "api"},
     {"cli"},
     {"__main__"},
 )
@@ -34,21 +35,22 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2947,
-    "drawing": 735,
-    "evaluation": 3930,
+    "advice": 1055,
+    "cli": 2957,
+    "drawing": 683,
+    "evaluation": 3351,
     "geometry": 415,
-    "learning": 529,
+    "learning": 530,
     "mapping": 1395,
     "overlays": 624,
-    "readers": 6307,
+    "readers": 6230,
     "recogniser": 5805,
-    "reports": 2126,
+    "reports": 2127,
     "results": 1956,
-    "runs": 1766,
+    "runs": 1601,
     "simulation": 2508,
     "tables": 1015,
-    "truth": 1505,
+    "truth": 1216,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""
@@ -107,6 +109,8 @@ MAY_IMPORT = {
 LIGHT = (
     "cli",
     "runs",
+    "advice.log",
+    "api.run",
     "simulation.simulate",
     "readers.messages.images",
     "readers.poses",
@@ -310,6 +314,11 @@ def test_imports_run_downward_only() -> None:
             "evaluation.rows",
             "from sonarrec.evaluation import counts",
             "uphill from evaluation.counts",
+        ),
+        (
+            "evaluation.evaluate",
+            "def f():\n    from sonarrec.advice.results import of_results",
+            "uphill from advice",
         ),
         ("runs.one", "import click", "runs.one must not import click"),
         (

@@ -178,8 +178,8 @@ def _run(
 
 def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
     """Record the results, and say so."""
+    from sonarrec.advice.truth import unchecked
     from sonarrec.evaluation.check_file import save
-    from sonarrec.truth.check import unchecked
     from sonarrec.truth.table import read_truth
 
     for log in logs:
@@ -200,13 +200,14 @@ def _compare(
     one: Check, logs: Sequence[LogToRun], old: Path, folder: Path
 ) -> dict[str, Comparison]:
     """Compare the new results with old ones, those of each landmark set by themselves."""
+    from sonarrec.advice.results import of_results
     from sonarrec.evaluation.compare import compare_sets
     from sonarrec.evaluation.pairs import Pair
     from sonarrec.evaluation.rows import ScoringOptions
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
     scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
-    return compare_sets(old, folder, pairs, scoring)
+    return compare_sets(old, folder, pairs, scoring, of_results)
 
 
 def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:

@@ -84,6 +84,7 @@ def evaluate(
         )
     limits = replace(limits, methods=scoring.methods)
     scoring = replace(scoring, labelled_only=labelled_only)
+    from sonarrec.advice.results import of_results
     from sonarrec.evaluation.pairs import read_pairs
     from sonarrec.tables.outputs import below
 
@@ -95,7 +96,7 @@ def evaluate(
         from sonarrec.evaluation import compare as comparing
 
         old, new = compare
-        found = comparing.compare(old, new, truth, scoring)
+        found = comparing.compare(old, new, truth, scoring, of_results)
         notes, unused, folder = found.notes, found.unused, out or below(new, "evaluation")
         files = comparing.write_comparison(folder, found)
         judged = comparing.judge(found, limits)
@@ -111,6 +112,7 @@ def evaluate(
             truth if isinstance(truth, list) else folder_of_logs,
             None if isinstance(truth, list) else truth,
             scoring,
+            of_results,
         )
         notes, unused, folder = scored.notes, scored.unused, out or below(parent, "evaluation")
         files = write_evaluation(folder, scored)

@@ -89,6 +89,7 @@ def info(
       sonarrec info pings/ --tilt-deg 22 --preview pings.png
       sonarrec info dive.avi --range-max-m 8 --write-sonar dive.sonar.toml
     """
+    from sonarrec.advice.log import of_log
     from sonarrec.readers.info import describe
     from sonarrec.results.identity import PROGRAM
     from sonarrec.tables.outputs import check_output
@@ -109,7 +110,9 @@ def info(
     for one, name in zip(logs, names, strict=True):
         try:
             with progress(quiet) as step:
-                found = describe(one.path, **reading, up_to=one.up_to, quick=quick, observe=step)
+                found = describe(
+                    one.path, **reading, up_to=one.up_to, quick=quick, observe=step, advise=of_log
+                )
         except SonarrecError as error:
             print_notes([str(error)])
             documents.append({"path": name, "error": str(error)})

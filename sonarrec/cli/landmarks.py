@@ -54,7 +54,8 @@ def landmarks(
       sonarrec landmarks my_set.toml --distance 8 --beam-width 1 -o my_set.png
       sonarrec landmarks actag24h10 -o plates.svg
     """
-    from sonarrec.drawing.landmarks import SHEET_MARK, distances, doubts, draw_landmarks, sheet
+    from sonarrec.advice.landmarks import of_landmarks
+    from sonarrec.drawing.landmarks import SHEET_MARK, distances, draw_landmarks, sheet
     from sonarrec.drawing.pen import write_png
     from sonarrec.landmarks import DrawnSet, load_landmarks
     from sonarrec.tables.outputs import check_output, write_text
@@ -71,7 +72,7 @@ def landmarks(
             check_output(out, "picture", [landmark_set])
     beam_m = distance_m * math.radians(beam_width_deg)
     found = distances(chosen, beam_m)
-    warnings = doubts(chosen, beam_m, found)
+    advice = of_landmarks(chosen, beam_m, found)
     if out is not None and isinstance(chosen, DrawnSet) and out.suffix.lower() == ".svg":
         write_text(out, sheet(chosen))
     elif out is not None:
@@ -94,4 +95,4 @@ def landmarks(
             say(f"  {ids:<12} {shown(d.drawn):>8}  {d.seen:>8.2f}")
         if out is not None:
             say(f"{out}: drawn")
-    print_notes([], [f"{landmark_set}: {warning}" for warning in warnings])
+    print_notes([], [f"{landmark_set}: {line.text}" for line in advice])

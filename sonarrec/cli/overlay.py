@@ -138,6 +138,7 @@ def _worst(
 ) -> list[Target]:
     """The longest mistakes of a method, at most `most` in all: (results, truth, mistakes) of each
     log that has one. lines: gets one if there is none."""
+    from sonarrec.advice.results import of_results
     from sonarrec.evaluation.evaluate import evaluate_logs
     from sonarrec.evaluation.rows import ScoringOptions
     from sonarrec.sonar import load_sonar
@@ -151,6 +152,7 @@ def _worst(
             sonar=load_sonar(file) if file else None,
             methods=(method,) if method else (),
         ),
+        of_results,
     )
     diagnostics.problem(*found.unused)
     first = found.counts.methods[0]

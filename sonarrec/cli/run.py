@@ -147,6 +147,7 @@ def run(
       sonarrec run 'dives/**/*.mcap'
       sonarrec run s3://dives/2026-11-20/ -o s3://dives/results
     """
+    from sonarrec.advice.log import of_run
     from sonarrec.readers.poses import read_poses
     from sonarrec.results.run_file import LogOptions
     from sonarrec.runs.job import RunOptions
@@ -162,7 +163,7 @@ def run(
     logs = options.named_logs(log, from_file, recursive)
     if odometry is not None and len(logs) > 1:
         read_poses(odometry)  # so that a fault is reported once, not for each log
-    to_run = jobs_of(logs, out, log_options, run_options, overwrite)
+    to_run = jobs_of(logs, out, log_options, run_options, overwrite, of_run)
     if shard is not None:
         i, _, n = shard.partition("/")
         if not (i.isdecimal() and n.isdecimal() and 1 <= int(i) <= int(n)):

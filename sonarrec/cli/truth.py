@@ -162,11 +162,11 @@ def check(
       sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
       sonarrec truth check gt_proposed.csv pings/ --max-pan 10
     """
+    from sonarrec.advice.rows import check_truth
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.prepare import chosen_landmarks
-    from sonarrec.truth.check import check_truth
 
     landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
     with open_log(log, **reading) as opened:

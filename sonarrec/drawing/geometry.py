@@ -18,14 +18,9 @@ from sonarrec.drawing.pen import (
     pixel_unit,
 )
 from sonarrec.geometry import floor_depth, pixel_from_polar
-from sonarrec.landmarks import DrawnSet, LandmarkSet
+from sonarrec.landmarks import LandmarkSet
 from sonarrec.records import Fan
 from sonarrec.sonar import Sonar
-
-LEAST_WIDTH_PX = 12
-"""Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
-76, 48, 18 times and once."""
-LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long as a disc
 
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:
@@ -70,24 +65,6 @@ def disc_width_px(fan: Fan, landmarks: LandmarkSet) -> float:
     column, row = pixel_from_polar(fan, (fan.range_min_m + fan.range_max_m) / 2, 0.0)
     outline = disc_outline(fan, landmarks.radius_m, float(column), float(row))
     return float(np.ptp(outline[:, 0]))
-
-
-def too_narrow(fan: Fan, landmarks: LandmarkSet) -> bool:
-    """Whether a disc in the middle of the window has too few pixels to be read."""
-    return disc_width_px(fan, landmarks) < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
-
-
-def hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
-    """Why no landmark can be read in the middle of the window; None if it can be."""
-    middle = (fan.range_min_m + fan.range_max_m) / 2
-    low_deg = math.degrees(math.asin(min(floor_depth(fan) / middle, 1.0)))
-    where = f"a landmark of {landmarks.name} in mid-window is"
-    if too_narrow(fan, landmarks):
-        wide = f"{disc_width_px(fan, landmarks):.0f} px wide, and needs {LEAST_WIDTH_PX}"
-        return f"{where} {wide}; check range and scale: are all in metres?"
-    if low_deg < LEAST_GRAZING_DEG:
-        return f"{where} seen {low_deg:.2g} deg above the floor; check range and height"
-    return None
 
 
 def draw_preview(image: ByteImage, fan: Fan, landmarks: LandmarkSet, stated: Sonar) -> ByteImage:

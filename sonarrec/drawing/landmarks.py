@@ -16,18 +16,12 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 from sonarrec.drawing.pen import TRUTH, Pen
-from sonarrec.landmarks import WIDEST_SIGMA, DrawnSet, LandmarkSet
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 
 GRID, PLATE_GRID = 30, 56  # samples across a disc or plate
 ROTATION_STEP_DEG = 5  # of a disc against the other; three times that against the line of sight
 MOST_PAIRS = 12  # of the IDs that differ least as drawn: views of an ID take some 3 ms
 HALF_POWER = 2.355  # width of a Gaussian beam, in its sigmas
-# Shares of a symbol's area. As drawn: if two IDs differ in less, one bad sector makes one ID of the
-# other. As seen: of simulated IDs that differ in a twelfth, nearly all were distinguished with .05
-# left by the beams, and one in five with .02.
-NEAR, NEAR_SEEN = 1 / 8, 0.04
-# The same of plates. AcTag24h10 has .20, AcTag24h4 .08, as drawn.
-PLATES_NEAR, PLATES_NEAR_SEEN = 0.06, 0.03
 SIDE_PX, MARGIN_PX, COLUMNS, MOST_DRAWN = 160, 30, 6, 70
 MARGIN_MM = 10
 SHEET_MARK = (
@@ -131,29 +125,6 @@ def _smeared(plate: np.ndarray, beam_m: float, landmarks: DrawnSet) -> FloatImag
     sigma = max(beam_m / HALF_POWER / (2 * landmarks.radius_m) * len(plate), 1e-3)
     smeared = cv2.GaussianBlur(plate.astype(np.float32), (0, 0), sigmaX=sigma, sigmaY=1e-3)
     return np.asarray(smeared)
-
-
-def doubts(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> list[str]:
-    """What makes a set hard to recognise, a few words each. near: from `distances`."""
-    reasons, of_what, least, least_seen = [], "an eighth of their symbol", NEAR, NEAR_SEEN
-    if isinstance(landmarks, DrawnSet):
-        of_what, least, least_seen = "6% of their cells", PLATES_NEAR, PLATES_NEAR_SEEN
-        share = HALF_POWER * WIDEST_SIGMA * landmarks.radius_m / max(beam_m, 1e-9)
-        if share < 1:
-            reasons.append(
-                f"beams are {1000 * beam_m:.0f} mm wide there, too wide for the plates: no ID is "
-                f"read beyond {share:.2f} of this range"
-            )
-    close = [d for d in near if d.drawn < least]
-    blurred = [d for d in near if d.seen < least_seen and d.drawn >= least]
-    for similar, how in (
-        (close, f"differ in less than {of_what}"),
-        (blurred, "look alike through the beams"),
-    ):
-        pairs = ", ".join(f"{d.ids[0]} and {d.ids[1]}" for d in similar[:3])
-        more = f" and {len(similar) - 3} more pairs" if len(similar) > 3 else ""
-        reasons += [f"IDs {pairs}{more} {how}"] if similar else []
-    return reasons
 
 
 def draw_landmarks(landmarks: LandmarkSet, beam_m: float) -> ByteImage:

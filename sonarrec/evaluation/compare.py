@@ -17,10 +17,10 @@ import pandas as pd
 
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, printable
 from sonarrec.evaluation.counts import TOTAL, Counts
-from sonarrec.evaluation.evaluate import LogToScore, lacks, score_logs
+from sonarrec.evaluation.evaluate import Advise, LogToScore, lacks, score_logs
 from sonarrec.evaluation.figures import MAIN, METRICS, differences, few_units, rates, units_text
-from sonarrec.evaluation.pairs import Pair, find_truths, pair_up, read_pairs
-from sonarrec.evaluation.rows import ScoringOptions, labelled_frames, scoring_options
+from sonarrec.evaluation.pairs import Pair, find_truths, pair_up
+from sonarrec.evaluation.rows import ScoringOptions, labelled_frames
 from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
 from sonarrec.records import follows
@@ -139,58 +139,29 @@ class Comparison:
 
 
 def compare(
-    old: str | Path,
-    new: str | Path,
-    ground_truth: str | Path | Sequence[Pair] | None = None,
-    options: ScoringOptions | None = None,
-    *,
-    pairs: str | Path | None = None,
-    **scoring: Any,
+    old: Path,
+    new: Path,
+    ground_truth: Path | Sequence[Pair] | None,
+    options: ScoringOptions,
+    advise: Advise | None = None,
 ) -> Comparison:
-    """Compare old and new results by their scores on common frames; writes nothing.
+    """Compare old and new results on common frames; see `sonarrec.compare`.
 
-    Logs are read one at a time, so memory does not grow with their number. A log that cannot be
-    compared is left out if there are others.
-
-    Parameters
-    ----------
-    old, new : str or Path
-        Folders of results. Their logs are paired by name; if each holds one log, these are paired.
-    ground_truth : str, Path or sequence of Pair, optional
-        One table for all logs, or pairs that name a truth for each. Default: NAME.gt.csv, or
-        gt.csv, in the folder of each log.
-    options : ScoringOptions, optional
-        How results are scored, in place of `scoring`.
-    pairs : str or Path, optional
-        A CSV that names the truth of each log.
-    **scoring
-        `method`, `min_visible`, `tolerance_s`, `within_m`, `labelled_only`, `landmarks` and
-        `sonar` as in `evaluate`.
-
-    Returns
-    -------
-    Comparison
-        `verdict` is a sentence; `figures` has a row per rate, with its test.
-
-    Raises
-    ------
-    SonarrecError
-        No log can be compared, or the one truth of all logs cannot be read.
-    UsageError
-        An option is invalid.
+    advise: its lines are among `notes` and `unused`.
     """
-    options = options or scoring_options(**scoring)
     options.check()
-    diagnostics, old, new = Diagnostics(), Path(old), Path(new)
-    ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
-    ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
+    diagnostics = Diagnostics()
     logs = _logs(pair_up(old, new, diagnostics), ground_truth, diagnostics)
     one_truth_of = new if isinstance(ground_truth, Path) else None
-    return _compared((old, new), logs, options, diagnostics, one_truth_of)
+    return _compared((old, new), logs, options, diagnostics, advise, one_truth_of)
 
 
 def compare_sets(
-    old: Path, new: Path, pairs: Sequence[Pair], options: ScoringOptions
+    old: Path,
+    new: Path,
+    pairs: Sequence[Pair],
+    options: ScoringOptions,
+    advise: Advise | None = None,
 ) -> dict[str, Comparison]:
     """As `compare`, with the logs of each landmark set by themselves; by the name of the set.
 
@@ -208,7 +179,7 @@ def compare_sets(
         name_of.setdefault(ids, f"{landmarks.name}-{len(logs_of)}" if used else landmarks.name)
     found = {}
     for ids, logs in logs_of.items():
-        found[name_of[ids]] = _compared((old, new), logs, options, diagnostics)
+        found[name_of[ids]] = _compared((old, new), logs, options, diagnostics, advise)
         diagnostics = Diagnostics()  # what is about all logs is in those of the first
     return found
 
@@ -218,11 +189,14 @@ def _compared(
     logs: Sequence[LogToScore],
     options: ScoringOptions,
     diagnostics: Diagnostics,
+    advise: Advise | None,
     one_truth_of: Path | None = None,
 ) -> Comparison:
     """The comparison of logs, old and new. sides: their folders, for messages."""
     old, new = sides
-    scored, (before, after), _ = score_logs(logs, options, "compared", diagnostics, one_truth_of)
+    scored, (before, after), _ = score_logs(
+        logs, options, "compared", diagnostics, one_truth_of, advise
+    )
     both = [m for m in after.methods if m in before.methods]
     methods = chosen({*before.methods, *after.methods}, options.methods, ", ".join(after.logs))
     for side, counts in ((old, before), (new, after)):

@@ -5,26 +5,23 @@ Each log is read, matched and counted by itself, so that memory does not grow wi
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable, refuse_url
+from sonarrec.errors import Advice, Diagnostics, SonarrecError, number_of, printable
 from sonarrec.evaluation.counts import Counts
-from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
-from sonarrec.evaluation.pairs import Pair, check_of, find_truths, read_pairs, usable_pairs
-from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match, scoring_options
-from sonarrec.evaluation.write import Evaluation, write_evaluation
-from sonarrec.records import Clock
-from sonarrec.results.folders import log_of, rerun_left
+from sonarrec.evaluation.pairs import Pair, find_truths, usable_pairs
+from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match
+from sonarrec.evaluation.write import Evaluation
+from sonarrec.results.folders import log_of
 from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     CountedOnce,
@@ -38,16 +35,7 @@ from sonarrec.results.read import (
     why_incomplete,
 )
 from sonarrec.runs.logs_table import NAME, read_logs
-from sonarrec.sonar import Sonar
-from sonarrec.stretches import Breaks
-from sonarrec.truth.check import (
-    misfit,
-    report_fit,
-    report_other_logs,
-    report_rows,
-    unread_columns,
-    without_rows,
-)
+from sonarrec.truth.check import misfit, report_other_logs, report_rows, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth
 
@@ -66,9 +54,21 @@ class LogToScore(NamedTuple):
     name: str
 
 
+class LogTables(NamedTuple):
+    """What one log is scored by. Both of old and new results, or of the only ones."""
+
+    truth: TruthTable
+    results: list[LogResults]
+    """On their common frames, whether labelled or not."""
+    truths: list[Truth]
+    """The truth as matched to each."""
+    matched: list[Matched]
+    """Each with its truth, on the frames that count; empty if the truth does not fit."""
+
+
 @dataclass(slots=True)
 class LogScore:
-    """One log as it was read and counted, without the rows of its truth."""
+    """One log as it was read and counted, without its tables."""
 
     log: LogToScore
     recording: Recording
@@ -85,30 +85,31 @@ class LogScore:
     """Why the truth does not fit the log; None if it does."""
     notes: list[str]
     unused: list[str]
-    """A line for each doubt about the truth, then each part of the results that is not used."""
-    matched: list[Matched]
-    """Each of its results; empty if the truth does not fit, or once they are counted."""
+    """A line for each part of the results that is not used."""
 
 
+Advise = Callable[[LogToScore, LogTables, ScoringOptions], Iterable[Advice]]
+"""Called with each log that is scored, while its tables are there: what else to tell of it."""
 Orders = dict[frozenset[int], tuple[int, ...]]
 """The IDs of each landmark set, in the order of the first log that has them."""
 
 
-def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogScore:
-    """Read, match and count one log, old and new results on their common frames.
+def score_log(
+    log: LogToScore, options: ScoringOptions, orders: Orders
+) -> tuple[LogScore, LogTables]:
+    """Read and match one log, old and new results on their common frames.
 
     orders: its own is added. Raises SonarrecError if its results or its truth cannot be read.
     """
-    diagnostics, unused = Diagnostics(), list[str]()
     table = _truth_table(log.ground_truth)
     sides = [
         replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
         for folder in log.results
     ]
     of = recording(log.results[-1], sides[-1].run)
-    common = sides[0].frame
+    common, notes, unused = sides[0].frame, list[str](), list[str]()
     if sides[1:]:
-        diagnostics.note(*_check_comparable(log.results, sides))
+        notes += _check_comparable(log.results, sides)
         common = np.intersect1d(common, sides[1].frame)
         if not len(common):
             raise SonarrecError(f"{' and '.join(map(str, log.results))} have no frame in common")
@@ -117,7 +118,6 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
             frames = number_of(alone, "frame")
             unused.append(f"{log.name}: {frames} in {folder} only; not compared")
         unused += why_incomplete(side, "scored")
-        diagnostics.note(*rerun_left(folder))
     if sides[1:]:
         sides = [_only(side, common) for side in sides]
     last = sides[-1]
@@ -126,63 +126,39 @@ def score_log(log: LogToScore, options: ScoringOptions, orders: Orders) -> LogSc
         match_truth(table, replace(last, fan=side.fan or last.fan), options.tolerance_s)
         for side in sides
     ]
-    truth = truths[-1]
-    if unread := unread_columns(table):
-        unused.append(unread)
-    report_fit(diagnostics, table, last, truth, check_of(table.path, last, options))
-    unused += diagnostics.problems
-    diagnostics.note(*_about_clock(last), about=log.name)
+    truth, fault, matched = truths[-1], misfit(table, last, truths[-1]), list[Matched]()
+    ids = orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids)
+    counted, left_out = (sides, truths), 0
+    if fault is None:
+        if options.labelled_only:
+            none = match_truth(table, last, options.tolerance_s, strangers=True)
+            labelled = np.union1d(truth.frame_index, none.frame_index)
+            left_out = len(last.frame) - len(labelled)
+            counted = (
+                [_only(side, last.frame[labelled]) for side in sides],
+                [
+                    replace(one, frame_index=np.searchsorted(labelled, one.frame_index))
+                    for one in truths
+                ],
+            )
+        within_m, only = options.within_m, options.labelled_only
+        matched = [
+            match(side, of_side, options.min_visible, ids, within_m=within_m, labelled_only=only)
+            for side, of_side in zip(*counted, strict=True)
+        ]
     score = LogScore(
         log=log,
         recording=of,
         has_log_column=table.log is not None,
         rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
-        left_out=0,
-        ids=orders.setdefault(frozenset(last.landmarks.ids), last.landmarks.ids),
-        fault=misfit(table, last, truth),
-        notes=diagnostics.notes,
+        left_out=left_out,
+        ids=ids,
+        fault=fault,
+        notes=notes,
         unused=unused,
-        matched=[],
     )
-    if score.fault is None:
-        score.matched = _match_all(sides, truths, score.ids, options)
-        score.unused[:0] = doubts(table, last, truth, score.matched[-1], options)
-        if options.labelled_only:
-            none = match_truth(table, last, options.tolerance_s, strangers=True)
-            labelled = np.union1d(truth.frame_index, none.frame_index)
-            score.left_out = len(last.frame) - len(labelled)
-            sides = [_only(side, last.frame[labelled]) for side in sides]
-            truths = [
-                replace(one, frame_index=np.searchsorted(labelled, one.frame_index))
-                for one in truths
-            ]
-            score.matched = _match_all(sides, truths, score.ids, options)
-    return score
-
-
-def _match_all(
-    sides: Sequence[LogResults],
-    truths: Sequence[Truth],
-    ids: tuple[int, ...],
-    options: ScoringOptions,
-) -> list[Matched]:
-    """Old and new results of a log, or its only ones, each matched with its truth."""
-    within_m, only = options.within_m, options.labelled_only
-    return [
-        match(side, truth, options.min_visible, ids, within_m=within_m, labelled_only=only)
-        for side, truth in zip(sides, truths, strict=True)
-    ]
-
-
-def _about_clock(log: LogResults) -> Iterator[str]:
-    """A note if the clock was set while the log was recorded."""
-    if log.timestamp_ns is not None:
-        breaks, clock = Breaks(), log.run.input.time
-        for row in zip(log.frame.tolist(), log.timestamp_ns.tolist(), strict=True):
-            breaks.add(*row)
-        others: dict[Clock | None, Clock] = {"log": "header", "header": "log", "publish": "header"}
-        yield from breaks.set_clock(others.get(clock) if log.run.input.topic else None)
+    return score, LogTables(table, sides, truths, matched)
 
 
 def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> Iterator[str]:
@@ -226,8 +202,9 @@ def score_logs(
     action: str,
     diagnostics: Diagnostics,
     one_truth_of: object = None,
+    advise: Advise | None = None,
 ) -> tuple[list[LogScore], list[Counts], list[str]]:
-    """Read, match and count the logs, and note what is in doubt or not used.
+    """Read, match and count the logs, and note what is not used.
 
     action: what is done with the logs, such as "scored". one_truth_of: what one truth is for, where
     it is given for all logs. Returns the logs that can be scored, the counts of their results, old
@@ -247,16 +224,21 @@ def score_logs(
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
         try:
-            score = score_log(log, options, orders)
+            score, tables = score_log(log, options, orders)
         except SonarrecError as error:
             unread.append((log.name, error))
             continue
         read.append(score)
         if once.add(score.log.results[-1], score.recording):
             kept.append(score)
-            for counts, matched in zip(sides_of[score.ids], score.matched, strict=False):
+            if advise is not None and score.fault is None:
+                lines = Diagnostics()
+                lines.advise(advise(log, tables, options))
+                score.unused[:0] = lines.problems
+                score.notes += lines.notes
+            for counts, matched in zip(sides_of[score.ids], tables.matched, strict=False):
                 counts.add(matched)
-        score.matched = []
+        del tables  # before the next log is read
     if not read:
         raise unread[0][1]
     names = [*(score.log.name for score in kept), *(name for name, _ in unread)]
@@ -313,85 +295,16 @@ def _listed(ids: Sequence[object]) -> str:
     return ", ".join(map(str, ids[:MOST_NAMED])) + ", ..." * (len(ids) > MOST_NAMED)
 
 
-def evaluate(
-    results: str | Path = "sonarrec_out",
-    ground_truth: str | Path | None = None,
-    *,
-    pairs: str | Path | None = None,
-    method: str | Sequence[str] = (),
-    min_visible: float = 0.9,
-    tolerance_s: float | None = None,
-    within_m: float | None = None,
-    labelled_only: bool = False,
-    landmarks: str | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
-    out: str | Path | None = None,
-) -> Evaluation:
-    """Score results, of one log or of several, against ground truth.
-
-    `sonarrec help evaluate` defines claims and both protocols. Of several results of one
-    recording the first counts. Warns where part of the input is not used or in doubt.
-
-    Parameters
-    ----------
-    results : str or Path, default "sonarrec_out"
-        The folder of one log's results, or a folder of such folders.
-    ground_truth : str or Path, optional
-        One table for all logs. Default: NAME.gt.csv, or gt.csv, in the folder of each log.
-    pairs : str or Path, optional
-        A CSV that names results and truth of each log, in place of `results` and `ground_truth`.
-    method : str or sequence of str, optional
-        The methods to score. Default: all, the framework first.
-    min_visible : float, default 0.9
-        Protocol strict counts a landmark if at least this share of its disc is in view, 0 to 1.
-    tolerance_s : float, optional
-        How far, in s, a row of truth matched by time may lie from its frame. Default: half the
-        time between frames.
-    within_m : float, optional
-        Protocol strict counts a claim as right within this distance in m. Default: half a disc
-        or plate.
-    labelled_only : bool, default False
-        Only frames count that have a row of truth, of a landmark or `none`.
-    landmarks : str, optional
-        A landmark set, in place of that of run.toml.
-    sonar : Sonar or mapping, optional
-        Geometry that takes precedence over run.toml, with the keys and units of sonar.toml.
-    out : str or Path, optional
-        A folder for the files of `sonarrec evaluate`. Default: none is written.
-
-    Returns
-    -------
-    Evaluation
-        `table` has a row per method; rates are 0 to 1, errors m and deg. `figures`, `tests`,
-        `confusion`, `roc`, `passes` and `mistakes` are the tables of the files.
-
-    Raises
-    ------
-    SonarrecError
-        Files cannot be used, or have no frame in common.
-    UsageError
-        An option is invalid, or no truth is found.
-    """
-    scoring = scoring_options(
-        method, min_visible, tolerance_s, landmarks, sonar, within_m, labelled_only
-    )
-    logs = results if pairs is None else read_pairs(Path(pairs))
-    found = evaluate_logs(logs, ground_truth, scoring)
-    for line in found.unused:
-        warnings.warn(line, stacklevel=2)
-    if out is not None:
-        write_evaluation(Path(refuse_url(out)), found)
-    return found
-
-
 def evaluate_logs(
     results: str | Path | Sequence[Pair],
     ground_truth: str | Path | None = None,
     options: ScoringOptions = DEFAULT,
+    advise: Advise | None = None,
 ) -> Evaluation:
     """Score a results folder, of one log or of several, or pairs of results and truth.
 
-    Logs of equal name get the names of their folders.
+    Logs of equal name get the names of their folders. advise: its lines are among `notes` and
+    `unused`.
     """
     options.check()
     diagnostics, table = Diagnostics(), None  # the table of all logs; None if each has its own
@@ -403,7 +316,8 @@ def evaluate_logs(
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
-    scored, [counts], names = score_logs(logs, options, "scored", diagnostics, table and results)
+    one_truth_of = table and results
+    scored, [counts], names = score_logs(logs, options, "scored", diagnostics, one_truth_of, advise)
     diagnostics.problem(*_unprocessed(scored, as_one=table is not None))
     if table is not None:
         others = Diagnostics()

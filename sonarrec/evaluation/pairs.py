@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +14,10 @@ from sonarrec.errors import (
     command_line,
     number_of,
 )
-from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.readers.open import is_log_file, log_name, own_file
-from sonarrec.results.read import LogResults, find_logs
+from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.runs.recorded import recorded_at
-from sonarrec.sonar import Sonar
 from sonarrec.tables.read import read_header, read_table
 from sonarrec.truth.table import HEADER, TRUTH_FILE
 
@@ -137,27 +134,6 @@ def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path
                 f"{own_file(found.location, TRUTH_FILE).name}"
             )
     return truth
-
-
-def check_of(truth: Path, log: LogResults, options: ScoringOptions) -> str:
-    """The command that checks the truth of the log that results were made from, as they read it;
-    empty if the log is not there, or read in another geometry."""
-    run = log.run
-    if options.sonar not in (None, Sonar()):
-        return ""
-    with suppress(SonarrecError):
-        words: list[object] = [
-            "truth",
-            "check",
-            truth,
-            recorded_at(run.path.parent, run.input).path,
-        ]
-        words += ["--sonar", run.path, "--landmarks", options.landmarks or run.path]
-        time = None if run.input.time == "log" else run.input.time
-        for name, value in (("--topic", run.input.topic), ("--time", time)):
-            words += [] if value is None else [name, value]
-        return command_line(*words)
-    return ""
 
 
 def pair_up(old: Path, new: Path, diagnostics: Diagnostics) -> list[tuple[Path, Path]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sonarrec.advice.truth import outside, unchecked
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import (
@@ -182,10 +183,10 @@ def _lesson(
     if misfit is not None:
         diagnostics.problem(f"{misfit}; nothing is learned from {name}")
     else:
-        if proposed := check.unchecked(table, name):
+        if proposed := unchecked(table, name):
             diagnostics.note(f"{proposed}; they teach what the program takes for true already")
         again = command_line("truth", "check", table.path, Path(log.path))
-        check.report_fit(diagnostics, table, tracks, truth, again)
+        diagnostics.advise(outside(table, tracks, truth, again))
         check.report_rows(diagnostics, name, truth.rows, truth.between)
         if truth.unprocessed:
             diagnostics.problem(

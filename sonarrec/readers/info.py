@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, name_as_text
+from sonarrec.errors import Advice, Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
-from sonarrec.readers.log import Log
+from sonarrec.readers.log import FIRST_FRAMES, Log
 from sonarrec.readers.open import Source, find_log
-from sonarrec.readers.plausible import Plausibility
 from sonarrec.readers.raw import RawLog, StoredFrame
+from sonarrec.records import Frame
 from sonarrec.sonar import Sonar, sonar_from_table
 from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]
+Advise = Callable[[Log, Sequence[Frame]], Iterable[Advice]]
 MOST_TOPICS = 8
 """Image topics of a log that are read when none is chosen; each takes a pass over the log."""
 
@@ -127,12 +128,14 @@ def describe(
     quick: bool = False,
     observe: Observe | None = None,
     up_to: Path | None = None,
+    advise: Advise | None = None,
 ) -> LogInfo:
     """Find out what is in a log: images, a video, an MCAP, a ROS bag or a sonar's own file.
 
     sonar, sonar_file: the geometry, as for `open_log`. topic: only this channel. quick: read only
     the first frame, instead of reading and checking all. observe: called at each frame with the
     number of frames, or None if that is unknown. up_to: the highest folder searched for sonar.toml.
+    advise: called with each log whose geometry is complete, for its notes.
     Raises SonarrecError if there is no log or its geometry cannot be read, UsageError if there is
     no such topic.
     """
@@ -155,7 +158,7 @@ def describe(
         topics = sorted(name for name, _ in counts.most_common(MOST_TOPICS))
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
-        images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe))
+        images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe, advise))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
     if len(images) < len(all_topics) and topic is None:
         more = f"{len(all_topics)} image topics, of which {len(images)} are read here"
@@ -198,6 +201,7 @@ def _images(
     flags: Sonar,
     quick: bool,
     observe: Observe | None,
+    advise: Advise | None,
 ) -> Images:
     """Read one sequence of images as `sonarrec run` would, with stand-ins for missing geometry.
     stated: the geometry by file and flags, its name in messages. flags: what they state."""
@@ -230,14 +234,14 @@ def _images(
         if observe is not None:
             observe(raw.frame_count)
 
-    plausibility = Plausibility()
+    first = list[Frame]()
     with Log(source, complete, raw, "log", inspect) as log:
         try:
             if not raw.polar:
                 complete.complete(where)
             for frame in islice(log, 1 if quick else None):
                 usable += 1
-                plausibility.inspect(frame)
+                first += [frame] if len(first) < FIRST_FRAMES else []
         except SonarrecError as error:
             found.problems = [] if log.diagnostics.problems else [str(error)]
     found.problems = log.diagnostics.skipped or found.problems
@@ -260,12 +264,10 @@ def _images(
     found.header = dict(raw.header_info.values)
     found.geometry = {key: value for key, value in geometry.items() if key not in lacks}
     found.geometry_from = where if where != name_as_text(source.path) else None
-    found.notes = [
-        *log.diagnostics.notes,
-        *([] if lacks else plausibility.contradictions(log.sonar)),
-    ]
+    found.notes = [*log.diagnostics.notes]
+    if advise is not None and not lacks:
+        found.notes += (line.text for line in advise(log, first))
     if not lacks and (fan := log.fan) is not None:
-        found.notes += filter(None, [log.sonar.steep(fan.tilt_deg)])
         if found.layout != "polar":
             found.assumed["metres_per_pixel"] = fan.metres_per_pixel
             found.assumed["apex_px"] = [fan.apex_column, fan.apex_row]

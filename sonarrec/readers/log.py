@@ -20,6 +20,7 @@ from sonarrec.sonar import Sonar
 from sonarrec.stretches import CLEARLY_BACK_NS, Breaks
 
 MOST_HZ = 200.0  # no imaging sonar is faster
+FIRST_FRAMES = 5  # so many are kept, to compare the stated geometry with
 SETTLING_FRAMES = 3  # the commonest size or window of these is that of the log
 # The three are looked for among so many frames and bytes: the frames of a whole chunk may be lost,
 # and a sonar may send blank ones until it has its settings.

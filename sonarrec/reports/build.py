@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from sonarrec.advice.results import of_results
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import find_truths
@@ -141,9 +142,9 @@ def _evaluate(
             diagnostics.problem(f"{error}; nothing is scored")
             return None
         left_out |= dict.fromkeys({*folders} - {pair.results for pair in pairs}, "no ground truth")
-        evaluation = evaluate_logs(pairs, None, options)
+        evaluation = evaluate_logs(pairs, None, options, of_results)
     else:
-        evaluation = evaluate_logs(results, truth_file, options)
+        evaluation = evaluate_logs(results, truth_file, options, of_results)
     diagnostics.problem(*evaluation.unused)
     return evaluation
 

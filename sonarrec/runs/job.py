@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from sonarrec.config import Config
-from sonarrec.errors import SonarrecError, as_usage, is_url, number_of, redact_url
+from sonarrec.errors import Advice, SonarrecError, as_usage, is_url, number_of, redact_url
 from sonarrec.recogniser.stage3.model_file import model_from_table, read_model
 from sonarrec.records import FrameResult
 from sonarrec.results.run_file import LogOptions, read_run
@@ -52,6 +52,7 @@ class Job:
     run_options: RunOptions
     overwrite: bool = False
     urls: Mapping[str, str] = field(default_factory=dict)  # of temporary folders, see `local_copy`
+    advise: Callable[..., Iterable[Advice]] | None = None  # of an EndedRun, for its notes
 
     @property
     def path(self) -> str:

@@ -9,23 +9,32 @@ from dataclasses import replace
 from heapq import nlargest
 from pathlib import Path
 from time import monotonic
+from typing import NamedTuple
 
-from sonarrec.drawing.geometry import disc_width_px, hardly_seen, too_narrow
-from sonarrec.errors import SonarrecError, command_line, is_url
-from sonarrec.landmarks import load_landmarks
+from sonarrec.errors import SonarrecError, is_url
+from sonarrec.readers.log import FIRST_FRAMES
 from sonarrec.readers.open import find_log, log_name, results_name
-from sonarrec.readers.plausible import Plausibility
 from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of, rerun_left
-from sonarrec.results.run_file import existing_results, rerun
+from sonarrec.results.run_file import existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.job import Job, Observe, Outcome, Report
 from sonarrec.runs.prepare import PreparedRun, prepare
-from sonarrec.tables.outputs import free_name
 
 MOST_SIGHTINGS = 20
 """Kept of each method in an Outcome; sightings.csv has all."""
+
+
+class EndedRun(NamedTuple):
+    """A run at its end, for those that advise on it."""
+
+    job: Job
+    run: PreparedRun
+    first: Sequence[Frame]
+    """Its first FIRST_FRAMES."""
+    has_sightings: bool
+    """Whether any landmark was declared."""
 
 
 def result_names(logs: Sequence[str | Path]) -> list[str]:
@@ -128,10 +137,10 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 )
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        plausibility = Plausibility()
+        first = list[Frame]()
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
-            _recognise(run, writer, plausibility, observe)
+            _recognise(run, writer, first, observe)
             run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
@@ -147,14 +156,17 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
                 problems=problems,
             ),
         )
-        notes = _notes(job, run, plausibility, about_folder, found=any(outcome.passes.values()))
+        if job.advise is not None:
+            ended = EndedRun(job, run, first, any(outcome.passes.values()))
+            diagnostics.advise(job.advise(ended))
+        notes = [*diagnostics.notes, *about_folder]
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
 def _recognise(
     run: PreparedRun,
     writer: ResultsWriter,
-    plausibility: Plausibility,
+    first: list[Frame],
     observe: Observe | None,
 ) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
@@ -163,7 +175,8 @@ def _recognise(
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            plausibility.inspect(frame)
+            if len(first) < FIRST_FRAMES:
+                first.append(frame)
             yield frame
 
     try:
@@ -179,81 +192,6 @@ def _recognise(
                 if result.index == next(iter(stamps), None):  # none twice, none after a gap
                     writer.write(result, stamps.pop(result.index))
         raise
-
-
-def _notes(
-    job: Job,
-    run: PreparedRun,
-    plausibility: Plausibility,
-    about_folder: Sequence[str],
-    *,
-    found: bool,
-) -> list[str]:
-    """The notes for the user at the end of a run, without the problems.
-
-    about_folder: of ResultsWriter.finish. found: whether any landmark was declared.
-    """
-    log, note, path = run.log, run.log.diagnostics.note, run.log.path
-    static, saturated, cause = run.recogniser.restored
-    doubts = plausibility.contradictions(log.sonar)
-    narrow = too_narrow(run.fan, run.landmarks)  # which explains what the notes it omits would ask
-    if doubts:
-        note(f"{'; '.join(doubts)}; {_preview(job, run)} shows it")
-    elif not narrow and (other := run.recogniser.sizes.other()):
-        note(
-            f"rings of about {other:.2g} m radius fit clearly better than those of "
-            f"{run.landmarks.name}, {run.landmarks.radius_m:g} m; check radius_m and the range "
-            f"window: {_preview(job, run)}"
-        )
-    for why in (hardly_seen(run.fan, run.landmarks), log.sonar.steep(run.fan.tilt_deg)):
-        if why:
-            note(why)
-    if static:
-        note(f"{static:.1%} of the picture never changes, and is filled from its neighbours")
-    if saturated:
-        note(f"{saturated:.0%} of the frames {cause}")
-    if log.untimed:
-        note("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
-    notes = [*log.diagnostics.notes, *about_folder]
-    if found or narrow or not run.recogniser.tracking:
-        return notes
-    # Nothing is recognised: what may be wrong, the likeliest first.
-    wide = f"{disc_width_px(run.fan, run.landmarks):.0f} px wide here"
-    topic = f"topic ({command_line('info', path)} has all), " * ("topic" in log.reading())
-    scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
-    return [
-        *notes,
-        f"{path}: no landmark declared; check {topic}range order "
-        f"({_again(job, run, '--range-order', log.sonar.other_range_order)}) and geometry "
-        f"({_preview(job, run)})",
-        f"{path}: then landmark set and size ({_landmarks(job, run)}; a landmark of "
-        f"{run.landmarks.name} is {wide}) and level ({_again(job, run, '--pixel-scale', scale)})",
-    ]
-
-
-def _again(job: Job, run: PreparedRun, *options: str) -> str:
-    """The command that repeats a run with other options, and leaves its results as they are."""
-    if job.urls:  # run.toml is on a server
-        return f"`run` with {' '.join(options)}"
-    poses = run.log_options.odometry
-    return rerun(Path(job.log), job.folder / "run.toml", *options, poses=poses)
-
-
-def _landmarks(job: Job, run: PreparedRun) -> str:
-    """The command that shows the landmark set of a run."""
-    own = [] if job.urls or run.landmarks == load_landmarks("basin") else [job.folder / "run.toml"]
-    return command_line("landmarks", *own)
-
-
-def _preview(job: Job, run: PreparedRun) -> str:
-    """The command that draws the geometry of a run onto its first frame."""
-    if job.urls:
-        return "`sonarrec info --preview` of a copy"
-    file, topic = job.folder / "run.toml", run.log.reading().get("topic")
-    words: list[object] = ["info", Path(job.log), "--sonar", file]
-    words += [] if topic is None else ["--topic", topic]
-    words += [] if run.landmarks == load_landmarks("basin") else ["--landmarks", file]
-    return command_line(*words, "--preview", free_name(Path(job.out, f"{job.name}_preview.png")))
 
 
 def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:

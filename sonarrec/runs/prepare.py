@@ -78,11 +78,6 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
             configs, first.fan, landmarks, None if model is None else model.weights, poses
         )
         log.diagnostics.note(*about_beams)
-        if poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
-            log.diagnostics.note(
-                "the run does not use the poses, since plates may lie at any angle; if they lie on "
-                f'the floor, state pose = "floor" in the landmarks {landmarks.name}'
-            )
         _check_folder(job, source)
         table = run_table(
             configs,

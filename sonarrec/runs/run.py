@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sonarrec.config import Config
 from sonarrec.config import preset as config_of
-from sonarrec.errors import UsageError, is_url, number_of, redact_url, refuse_url
+from sonarrec.errors import Advice, UsageError, is_url, number_of, redact_url
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
 from sonarrec.readers.named_logs import NamedLog
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model_file import read_model
-from sonarrec.records import Clock, Fan, Frame, FrameResult
+from sonarrec.records import Fan, Frame, FrameResult
 from sonarrec.results.folders import MADE, PAGES
-from sonarrec.results.run_file import LogOptions, frame_span, span_text
+from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cores
-from sonarrec.runs.job import Event, Job, Observe, Outcome, RunOptions
+from sonarrec.runs.job import Event, Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, NAME, LogsTable, Row
 from sonarrec.runs.many import Watch, run_here, run_in_processes
-from sonarrec.runs.one import at_hand, result_names, run_log
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.runs.one import EndedRun, result_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -182,112 +181,13 @@ class Runs:
         return f"<{self.folder}: {done}; {failed} failed>" if failed else f"<{self.folder}: {done}>"
 
 
-@overload
-def run(log: str | Path, out: str | Path = ..., **options: Any) -> Outcome: ...
-@overload
-def run(log: Sequence[str | Path], out: str | Path = ..., **options: Any) -> Runs: ...
-
-
-def run(  # type: ignore[misc]  # the overloads leave out what both have
-    log: str | Path | Sequence[str | Path],
-    out: str | Path = "sonarrec_out",
-    *,
-    preset: Presets = "default",
-    landmarks: str | Path | None = None,
-    model: str | Path | None = None,
-    sonar: Sonar | Mapping[str, Any] | None = None,
-    sonar_file: str | Path | None = None,
-    topic: str | None = None,
-    time: Clock | None = None,
-    odometry: str | Path | None = None,
-    frames: tuple[int, int | None] | None = None,
-    overwrite: bool = False,
-    jobs: int | None = None,
-    observe: Observe | None = None,
-) -> Outcome | Runs:
-    """Recognise the landmarks in a log, or in each of several; results go to `out`/<log name>/.
-
-    Of several logs one that cannot be used does not stop the others.
-
-    Parameters
-    ----------
-    log : str, Path or sequence of these
-        An MCAP file, a ROS bag, a folder or glob of images, a video or a sonar's own file.
-    out : str or Path, default "sonarrec_out"
-        The folder of the results.
-    preset : str, Config or sequence of these, default "default"
-        "default", "offline", "paper" or settings; several run side by side, each of another name.
-    landmarks : str or Path, optional
-        A landmark set, by name or TOML file. Default: landmarks.toml of the log, else `basin`.
-    model : str or Path, optional
-        A model that `sonarrec calibrate` learned.
-    sonar : Sonar or mapping, optional
-        Geometry that takes precedence over files, such as {"tilt_deg": 20.0}, with the keys and
-        units of sonar.toml: m, deg.
-    sonar_file : str or Path, optional
-        A sonar.toml, in place of the log's own.
-    topic : str, optional
-        The image channel of an MCAP or bag.
-    time : {"log", "publish", "header"}, optional
-        Which time of a message becomes the time of its frame. Default: log.
-    odometry : str or Path, optional
-        A table of the sonar's poses, CSV or in TUM form.
-    frames : tuple of int, optional
-        (first, end): only these frames, without `end`, which may be None: to the last. They keep
-        their numbers.
-    overwrite : bool, default False
-        Do again what is up to date, and replace the results of another log of that name.
-    jobs : int, optional
-        How many logs run at once. Default: the number of cores.
-    observe : callable, optional
-        Of a single log: called after each frame with its FrameResult and the number of frames,
-        None if that is not known.
-
-    Returns
-    -------
-    Outcome or Runs
-        Of one log its Outcome: folder, counts, sightings, notes and problems. Of several Runs:
-        `table` has a row per log.
-
-    Raises
-    ------
-    SonarrecError
-        Input or settings cannot be used; what was written stays.
-    UsageError
-        An option is invalid.
-    """
-    log_options = LogOptions(
-        sonar=sonar_from(sonar),
-        sonar_file=None if sonar_file is None else Path(sonar_file),
-        topic=topic,
-        time=time,
-        odometry=None if odometry is None else Path(odometry),
-        # By the text that run.toml will hold: what it could not give back is refused.
-        frames=None if frames is None else frame_span(span_text(frames)),
-    )
-    learned = None if model is None else Path(model)
-    run_options = RunOptions(configs_of(preset), landmarks, learned)
-    several = [log] if isinstance(log, str | Path) else log
-    logs = [NamedLog(str(one)) for one in several]
-    to_run = jobs_of(logs, str(refuse_url(out)), log_options, run_options, overwrite)
-    if isinstance(log, str | Path):
-        with at_hand(to_run[0]) as job:
-            return run_log(job, observe)
-    if observe is not None:
-        raise UsageError("observe is for a single log")
-    done = run_jobs(to_run, out, at_once=jobs)
-    errors = [one.error for one in done.outcomes if one.error is not None]
-    if errors and len(errors) == len(done.outcomes):
-        raise errors[0]
-    return done
-
-
 def jobs_of(
     logs: Sequence[NamedLog],
     out: str,
     log_options: LogOptions,
     run_options: RunOptions,
     overwrite: bool = False,
+    advise: Callable[[EndedRun], Iterable[Advice]] | None = None,
 ) -> list[Job]:
     """A job for each log. out: the folder of the results, or its URL.
 
@@ -302,6 +202,7 @@ def jobs_of(
             log_options=replace(log_options, up_to=log.up_to),
             run_options=run_options,
             overwrite=overwrite,
+            advise=advise,
         )
         for log, name in zip(logs, names, strict=True)
     ]

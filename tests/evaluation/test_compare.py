@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sonarrec.evaluation.compare import compare
+from sonarrec.api.evaluate import compare
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from tests.evaluation.test_evaluation import (

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, change_text, compare, judge, screen
+from sonarrec.api.evaluate import compare
+from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, change_text, judge, screen
 from sonarrec.evaluation.pairs import Pair
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
 from tests.evaluation.test_evaluation import write_case

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.api.run import run
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
@@ -21,7 +22,6 @@ from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS
-from sonarrec.runs.run import run
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 

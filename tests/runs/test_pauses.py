@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from sonarrec import evaluate
+from sonarrec.advice.rows import check_truth
+from sonarrec.api.run import run
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays import overlay as overlays
@@ -20,11 +22,9 @@ from sonarrec.readers import open_log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.records import Frame, FrameResult
 from sonarrec.results.read import read_log
-from sonarrec.runs.run import run
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from sonarrec.simulation.simulate import simulate
-from sonarrec.truth.check import check_truth
 from sonarrec.truth.table import write_truth
 from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML, cdr_image, frames, image_folder, mcap_file

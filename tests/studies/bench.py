@@ -24,6 +24,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
+from sonarrec.api.run import run as run_log
 from sonarrec.config import Config, preset
 from sonarrec.readers import log as readers_log
 from sonarrec.readers.containers import images
@@ -37,7 +38,6 @@ from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
 from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from sonarrec.recogniser.three_stages import FRAMEWORK, DiscStages
 from sonarrec.results.write import ResultsWriter
-from sonarrec.runs.run import run as run_log
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObject, Scene
 from sonarrec.simulation.simulate import write_recording

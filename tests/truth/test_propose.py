@@ -10,8 +10,8 @@ import pytest
 from click.testing import Result
 
 from sonarrec import evaluate
+from sonarrec.api.run import run as run_log
 from sonarrec.config import preset
-from sonarrec.runs.run import run as run_log
 from sonarrec.truth.table import read_truth
 from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML

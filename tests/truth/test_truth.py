@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Collection
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import Result
 
-from sonarrec.errors import Diagnostics
-from sonarrec.landmarks import load_landmarks
 from sonarrec.results.read import read_log
-from sonarrec.truth.check import report_fit, sparse
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
-from tests.support.command import SAMPLE, sonarrec
-from tests.support.drawn import make_fan
+from tests.support.command import sonarrec
+from tests.support.crossing import write_crossing
 from tests.support.rows import read_rows
 
 FRAMES = "frame,timestamp_ns\n0,1000000000\n1,1250000000\n3,1750000000\n"
@@ -203,51 +197,6 @@ def test_several_logs_need_a_log_column(case: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("row", "labelled", "doubt"),
-    [
-        ("{n},1,2.0,{bearing},1", 24, None),
-        ("{n},2,2.0,{bearing},1", 24, "if `landmark` 2 were ID.1"),
-        ("{n},1,1.0,{bearing},1", 24, "if range were that stated +1 m"),
-        ("{n},1,2.0,{doubled},1", 24, "if bearing were that stated times 0.5"),
-        ("{n},1,{scattered},{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
-        ("{n},{either},2.0,{bearing},1", 24, "12 of 24 rows lie on claims of other IDs"),
-        ("{n},1,2.0,{half},1", 24, "rows would meet claims only with the sign of their bearings"),
-        ("{after},1,2.0,{bearing},1", 23, "better 1 frame earlier (0.25 s)"),
-        ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings reversed"),
-        ("{n},1,2.0,{radians},1", 24, "with bearings in radians"),
-        ("{n},1,2.0,{bearing},0", 24, "`visible` is 0 at most in all rows on out"),
-        ("{n},1,2.0,{bearing},0.4", 24, "`visible` is 0.4 at most in all rows on out"),
-        ("{n},1,2.0,{bearing},1", 12, "end at frame 11, and 12 of the 12 frames without one"),
-    ],
-)
-def test_what_makes_figures_mean_something_else_comes_first(
-    case: Path, row: str, labelled: int, doubt: str | None
-) -> None:
-    write_crossing(case, row, range(labelled))
-    said = run(case, code=3 if doubt else 0).stderr.partition("\n")[0]
-    assert doubt in said if doubt else not said
-
-
-def write_crossing(case: Path, row: str, labelled: Collection[int]) -> None:
-    """A landmark crosses the view in 24 frames, and is claimed where it is."""
-    frames, rows, claims = "frame,timestamp_ns\n", "", ""
-    for n in range(24):
-        of = {"n": n, "after": n + 1, "bearing": n - 7, "turned": 7 - n, "doubled": 2 * (n - 7)}
-        of |= {
-            "half": n - 7 if n % 2 else 7 - n,
-            "either": 1 + n % 2,
-            "scattered": 1.2 + 0.5 * (n * 7 % 5 // 2),
-        }
-        frames += f"{n},{n * 250_000_000}\n"
-        claims += f"{n},m,2.0,{n - 7},1,0.9,1\n"
-        if n in labelled:
-            rows += row.format(**of, radians=math.radians(n - 7)) + "\n"
-    (case / "out" / "frames.csv").write_text(frames)
-    (case / "out" / "estimates.csv").write_text(f"{ESTIMATES.partition(chr(10))[0]}\n{claims}")
-    (case / "gt.csv").write_text(f"{TRUTH.split()[0]}\n{rows}")
-
-
-@pytest.mark.parametrize(
     "labelled", [range(0, 24, 5), range(1, 24, 2), [*range(8), *range(16, 24)]]
 )
 def test_frames_without_a_row_may_be_left_out(case: Path, labelled: Collection[int]) -> None:
@@ -291,50 +240,9 @@ def test_sparse_labels_make_one_pass_of_labelled_frames(case: Path) -> None:
     assert {(row["first_frame"], row["last_frame"]) for row in passes} == {("0", "12")}
 
 
-@pytest.mark.slow
-def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
-    sonarrec("run", "-q", SAMPLE, "-o", tmp_path)
-    rows = read_rows(SAMPLE / "gt.csv")
-    truth = ["frame,landmark,range_m,bearing_deg"]
-    for row in rows:  # the log shows 1.25 to 3.75 m
-        range_m = 5 - float(row["range_m"])
-        truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
-    (tmp_path / "gt.csv").write_text("\n".join(truth))
-    call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
-    assert "better with the other --range-order" in sonarrec(*call, code=3).stderr
-
-
 def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:
     header = TRUTH.split()[0]
     rows = "".join(f"{n},1,2.0,5.0,1,{log}\n" for n in range(1) for log in ("out", "in"))
     (case / "gt.csv").write_text(f"{header},log\n{rows}")
     done = run(case)
     assert "1 of 2 rows name logs that were not given (in); they are not scored" in done.output
-
-
-@pytest.mark.parametrize(
-    ("frames", "is_sparse"),
-    [([*range(0, 60, 10)], True), ([*range(9)], False), ([0, 1, 10, 20, 30, 40], False)],
-)
-def test_rows_on_every_nth_frame_are_told(frames: list[int], is_sparse: bool) -> None:
-    told = sparse(np.repeat(frames, 2), np.arange(100, 160))
-    assert bool(told) == is_sparse
-    assert not told or "6 of 60 frames, from 100 to 150" in told
-
-
-@pytest.mark.parametrize(("outside", "is_problem"), [(2, False), (12, True)])
-def test_many_positions_outside_the_image_are_a_problem(
-    tmp_path: Path, outside: int, is_problem: bool
-) -> None:
-    path, fan, frame = tmp_path / "gt.csv", make_fan(), np.arange(40)
-    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
-    bearings = [fan.bearing_max_deg + 20 if n < outside else middle for n in range(40)]
-    range_m = (fan.range_min_m + fan.range_max_m) / 2
-    rows = [f"{n},1,{range_m},{bearing}" for n, bearing in enumerate(bearings)]
-    path.write_text("\n".join(["frame,landmark,range_m,bearing_deg", *rows]))
-    basin = load_landmarks("basin")
-    log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
-    table, told = read_truth(path), Diagnostics()
-    report_fit(told, table, log, match_truth(table, log))
-    (line,) = told.problems if is_problem else told.notes
-    assert f"{outside} of 40 positions lie outside" in line

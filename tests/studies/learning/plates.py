@@ -15,9 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sonarrec.advice.landmarks import PLATES_NEAR, PLATES_NEAR_SEEN
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.drawing.landmarks import PLATES_NEAR, PLATES_NEAR_SEEN, distances
+from sonarrec.drawing.landmarks import distances
 from sonarrec.errors import SonarrecError
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from sonarrec.advice.log import contradictions
 from sonarrec.readers import open_log
-from sonarrec.readers.plausible import FRAMES, Plausibility
+from sonarrec.readers.log import FIRST_FRAMES
 from sonarrec.records import Fan, Frame
 from sonarrec.sonar import Sonar
 from tests.support.command import sample_log, sonarrec
@@ -24,17 +25,12 @@ RNG = np.random.default_rng(3)
 
 def doubts(log: Path, **stated: float | str) -> list[str]:
     """What is told of a log, with keys of its geometry replaced."""
-    plausibility = Plausibility()
     with open_log(log, sonar=Sonar(**stated)) as opened:  # type: ignore[arg-type]
-        for frame in islice(opened, FRAMES):
-            plausibility.inspect(frame)
-        return plausibility.contradictions(opened.sonar)
+        return contradictions([*islice(opened, FIRST_FRAMES)], opened.sonar)
 
 
 def of_picture(image: np.ndarray, fan: Fan) -> list[str]:
-    plausibility = Plausibility()
-    plausibility.inspect(Frame(0, 0, image, fan))
-    return plausibility.contradictions(Sonar())
+    return contradictions([Frame(0, 0, image, fan)], Sonar())
 
 
 def floor(fan: Fan) -> np.ndarray:

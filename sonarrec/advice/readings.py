@@ -1,4 +1,4 @@
-"""Doubts about a truth: signs that its rows mean something else than they state.
+"""What claims tell of a truth: signs that its rows mean something else than they state.
 
 The rows of a truth, also those that matching drops, are compared with the claims of the leading
 method: as they are, and as if positions or frames had been stated in another way. Such a reading is
@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sonarrec.advice.truth import FEWEST
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
-from sonarrec.errors import number_of
+from sonarrec.errors import Advice, number_of
 from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
 from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
 from sonarrec.results.read import LogResults
-from sonarrec.truth.check import FEWEST, of_another_geometry, unchecked
-from sonarrec.truth.match import Truth
 from sonarrec.truth.table import TruthTable
 
 MOST_ROWS = 500  # are asked which reading fits; more add nothing
@@ -39,45 +38,35 @@ FEWEST_CLAIMS = 20  # of which a few right ones may be chance
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
-def doubts(
-    table: TruthTable,
-    log: LogResults,
-    truth: Truth,
-    matched: Matched,
-    options: ScoringOptions,
-) -> Iterator[str]:
-    """A line on each. truth, matched: of all frames of the log; its leading method is asked."""
-    path, name, min_visible = table.path, log.name, options.min_visible
-    if proposed := unchecked(table, name):
-        yield f"{proposed}; they say nothing about the results that they came from"
-    if len(truth.visible) and (most := truth.visible.max()) < min_visible:
-        yield (
-            f"{path}: `visible` is {most:.2g} at most in all rows on {name}, and counts from "
-            f"{min_visible:g}, so that no landmark is ever in view; check positions and units"
-        )
-    if other := of_another_geometry(table, table.rows_of(name), log.fan, name):
-        yield f"{path}: {other}"
+def of_claims(
+    table: TruthTable, log: LogResults, matched: Matched, options: ScoringOptions
+) -> Iterator[Advice]:
+    """Whether claims tell that rows mean something else, or that frames lack rows.
+
+    matched: of all frames of the log; its leading method is asked.
+    """
     claims = matched.claims
     claims = claims[claims["declared"] & (claims["method"] == 0)]  # of the leading method
-    both = _sightings(table, log, matched, claims, min_visible)
+    both = _sightings(table, log, matched, claims, options.min_visible)
     if min(both.rows.sure.sum(), len(both.claims.frame)) < FEWEST:
         return
     reason = _any_reason(both, log, matched.ids) if matched.placed else None
-    seen = both.meeting(both.rows)
+    seen, lines = both.meeting(both.rows), list[str]()
     if reason:
-        yield f"{path}: its rows would fit the claims in {name} clearly better {reason}; check it"
+        lines = [f"its rows would fit the claims in {log.name} clearly better {reason}; check it"]
     elif reason is not None or seen.by_chance:
         claimed = seen.claims or len(both.claims.frame)  # all, if none is on a frame with a row
-        yield (
-            f"{path}: {seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and "
+        lines = [
+            f"{seen.rows_met} of {number_of(seen.rows, 'row')} on {log.name} and "
             f"{seen.claims_met} of {number_of(claimed, 'claim')} of {matched.methods[0]} meet; "
             "check that this is its truth, and its positions, times and units"
-        )
+        ]
     elif len(matched.truths):
         if part := _part(both, log) if matched.placed else "":
-            yield f"{path}: {part} in {name}; check them"
+            lines = [f"{part} in {log.name}; check them"]
         elif not options.labelled_only:
-            yield from _without_rows(f"{path}: its rows for {name}", matched, claims)
+            lines = [f"its rows for {log.name} {how}" for how in _without_rows(matched, claims)]
+    yield from (Advice(f"{table.path}: {line}", grave=True) for line in lines)
 
 
 class _Points(NamedTuple):
@@ -394,13 +383,13 @@ def _shift(frames: int, log: LogResults) -> str:
     return text
 
 
-def _without_rows(of: str, matched: Matched, claims: Table) -> Iterator[str]:
-    """A line if rows are on some frames only, or a long beginning or end has none, and most of the
-    other frames have claims."""
+def _without_rows(matched: Matched, claims: Table) -> Iterator[str]:
+    """What is said if rows are on some frames only, or a long beginning or end has none, and most
+    of the other frames have claims."""
     if len(unseen := _between_rows(matched, claims)):
         labelled = len(np.unique(matched.truths["at"]))
         yield (
-            f"{of} are on {labelled} of {len(matched.frame)} frames, and claims in {len(unseen)} "
+            f"are on {labelled} of {len(matched.frame)} frames, and claims in {len(unseen)} "
             "frames between two with a row of the same ID count as false; label these, or add "
             "--labelled-only if they have no row at all"
         )
@@ -414,7 +403,7 @@ def _without_rows(of: str, matched: Matched, claims: Table) -> Iterator[str]:
     ):
         if length > LEAST_STRETCH * frames and found.sum() > length / 2:
             yield (
-                f"{of} {word}, and {found.sum()} of the {length} frames without one have claims, "
+                f"{word}, and {found.sum()} of the {length} frames without one have claims, "
                 "which count as false; label each frame, or add --labelled-only"
             )
 

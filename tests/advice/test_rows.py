@@ -13,6 +13,7 @@ from click.testing import Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.advice.rows import Fault, check_truth
 from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
@@ -20,7 +21,6 @@ from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.scene import PlacedLandmark
 from sonarrec.simulation.truth import visible_share
 from sonarrec.sonar import load_sonar
-from sonarrec.truth.check import Fault, check_truth
 from tests.support.command import sonarrec
 from tests.support.logs import image_folder
 

@@ -1,0 +1,187 @@
+"""What may be wrong with a log and its geometry: at the end of `run`, and in `info`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sonarrec.arrays import FloatArray
+from sonarrec.drawing.geometry import disc_width_px
+from sonarrec.errors import Advice, command_line
+from sonarrec.geometry import fan_mask, floor_depth, pixel_from_polar
+from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
+from sonarrec.readers.log import Log
+from sonarrec.records import Fan, Frame
+from sonarrec.results.run_file import rerun
+from sonarrec.runs.one import EndedRun
+from sonarrec.sonar import Sonar
+from sonarrec.tables.outputs import free_name
+
+_BACKGROUND = 6.0  # grey levels about the commonest one that hold no echo
+# Share of pixels outside of the stated fan that hold echoes, measured on the sample logs and on
+# recordings of others: .42 or more if the fan is wrong, at most .03 if it is right.
+_OUTSIDE = 0.15
+_FILLED = 0.6  # the same share, if the picture is no fan at all
+_CUT = 0.2  # share of the stated fan that lies outside of the picture
+LEAST_WIDTH_PX = 12
+"""Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
+76, 48, 18 times and once."""
+LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long as a disc
+STEEP_TILT_DEG = 60.0  # of tilts that are assumed
+
+
+def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
+    """On the geometry of a log that was read. first: its first frames."""
+    yield from map(Advice, contradictions(first, log.sonar))
+    if log.fan is not None and (steep := _steep(log.sonar, log.fan.tilt_deg)):
+        yield Advice(steep)
+
+
+def of_run(ended: EndedRun) -> Iterator[Advice]:
+    """On a log that was run; the lines do not name it. Notes only, for its results are done."""
+    run, log, fan, landmarks = ended.run, ended.run.log, ended.run.fan, ended.run.landmarks
+    static, saturated, cause = run.recogniser.restored
+    doubts = contradictions(ended.first, log.sonar)
+    narrow = _too_narrow(fan, landmarks)  # which explains what the notes it omits would ask
+    if doubts:
+        yield Advice(f"{'; '.join(doubts)}; {_preview(ended)} shows it")
+    elif not narrow and (other := run.recogniser.sizes.other()):
+        yield Advice(
+            f"rings of about {other:.2g} m radius fit clearly better than those of "
+            f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m and the range "
+            f"window: {_preview(ended)}"
+        )
+    if run.poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
+        yield Advice(
+            "the run does not use the poses, since plates may lie at any angle; if they lie on the "
+            f'floor, state pose = "floor" in the landmarks {landmarks.name}'
+        )
+    for why in (_hardly_seen(fan, landmarks), _steep(log.sonar, fan.tilt_deg)):
+        if why:
+            yield Advice(why)
+    if static:
+        yield Advice(
+            f"{static:.1%} of the picture never changes, and is filled from its neighbours"
+        )
+    if saturated:
+        yield Advice(f"{saturated:.0%} of the frames {cause}")
+    if log.untimed:
+        yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
+    if ended.has_sightings or narrow or not run.recogniser.tracking:
+        return
+    # Nothing is recognised: what may be wrong, the likeliest first.
+    wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
+    topic = f"topic ({command_line('info', log.path)} has all), " * ("topic" in log.reading())
+    scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
+    yield Advice(
+        f"no landmark declared; check {topic}range order "
+        f"({_again(ended, '--range-order', log.sonar.other_range_order)}) and geometry "
+        f"({_preview(ended)})"
+    )
+    yield Advice(
+        f"then landmark set and size ({_landmarks(ended)}; a landmark of "
+        f"{landmarks.name} is {wide}) and level ({_again(ended, '--pixel-scale', scale)})"
+    )
+
+
+def contradictions(first: Sequence[Frame], sonar: Sonar) -> list[str]:
+    """A line, with the keys to look at, if there are echoes outside of the stated fan, or if it
+    exceeds the picture: clear cases only. None without fan images. sonar: the geometry as
+    stated."""
+    if not first or first[0].polar is not None:
+        return []
+    fan, picture = first[0].fan, np.mean([frame.pixels for frame in first], axis=0)
+    outside = fan_mask(fan) == 0
+    share = _echoes(picture[outside])
+    if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
+        text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
+        if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
+            option = f"--range-order {sonar.other_range_order}"
+            return [f"{text}, but none once it is upside down: try {option}"]
+        if share > _FILLED:
+            return [f"{text} (is it polar, --layout polar?)"]
+        keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"
+        return [f"{text} (unless it is text or a panel, look at {keys})"]
+    cut = _share_cut(fan)
+    if cut > _CUT:
+        return [
+            f"{cut:.0%} of the stated fan lies outside of the picture, {fan.columns} x "
+            f"{fan.rows} pixels (is it polar, --layout polar? else look at metres_per_pixel "
+            "and apex_px)"
+        ]
+    return []
+
+
+def _echoes(grey: FloatArray) -> float:
+    """Share of pixels that differ from the commonest grey level: 0 for an even background."""
+    if not grey.size:
+        return 0.0
+    background = np.bincount(np.rint(grey).astype(int).ravel(), minlength=256).argmax()
+    return float(np.mean(np.abs(grey - background) > _BACKGROUND))
+
+
+def _share_cut(fan: Fan) -> float:
+    """Share of a fan that lies outside of its picture, by range and bearing."""
+    range_m = np.linspace(fan.range_min_m, fan.range_max_m, 98)[1:-1, None]
+    bearings = np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 66)[1:-1]
+    column, row = pixel_from_polar(fan, range_m, bearings)
+    return float(np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows)))
+
+
+def _too_narrow(fan: Fan, landmarks: LandmarkSet) -> bool:
+    """Whether a disc in the middle of the window has too few pixels to be read."""
+    return disc_width_px(fan, landmarks) < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
+
+
+def _hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
+    """Why no landmark can be read in the middle of the window; None if it can be."""
+    middle = (fan.range_min_m + fan.range_max_m) / 2
+    low_deg = math.degrees(math.asin(min(floor_depth(fan) / middle, 1.0)))
+    where = f"a landmark of {landmarks.name} in mid-window is"
+    if _too_narrow(fan, landmarks):
+        wide = f"{disc_width_px(fan, landmarks):.0f} px wide, and needs {LEAST_WIDTH_PX}"
+        return f"{where} {wide}; check range and scale: are all in metres?"
+    if low_deg < LEAST_GRAZING_DEG:
+        return f"{where} seen {low_deg:.2g} deg above the floor; check range and height"
+    return None
+
+
+def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
+    """Why the height may be wrong from which tilt_deg follows; None if nothing is odd."""
+    if sonar.tilt_deg is not None or sonar.height_m is None or tilt_deg <= STEEP_TILT_DEG:
+        return None
+    return (
+        f"height {sonar.height_m:g} m puts the sonar almost straight above the floor "
+        f"(tilt {tilt_deg:.0f} deg); is it in metres?"
+    )
+
+
+def _again(ended: EndedRun, *options: str) -> str:
+    """The command that repeats a run with other options, and leaves its results as they are."""
+    job = ended.job
+    if job.urls:  # run.toml is on a server
+        return f"`run` with {' '.join(options)}"
+    poses = ended.run.log_options.odometry
+    return rerun(Path(job.log), job.folder / "run.toml", *options, poses=poses)
+
+
+def _landmarks(ended: EndedRun) -> str:
+    """The command that shows the landmark set of a run."""
+    job, is_built_in = ended.job, ended.run.landmarks == load_landmarks("basin")
+    own = [] if job.urls or is_built_in else [job.folder / "run.toml"]
+    return command_line("landmarks", *own)
+
+
+def _preview(ended: EndedRun) -> str:
+    """The command that draws the geometry of a run onto its first frame."""
+    job, run = ended.job, ended.run
+    if job.urls:
+        return "`sonarrec info --preview` of a copy"
+    file, topic = job.folder / "run.toml", run.log.reading().get("topic")
+    words: list[object] = ["info", Path(job.log), "--sonar", file]
+    words += [] if topic is None else ["--topic", topic]
+    words += [] if run.landmarks == load_landmarks("basin") else ["--landmarks", file]
+    return command_line(*words, "--preview", free_name(Path(job.out, f"{job.name}_preview.png")))

@@ -1,0 +1,205 @@
+"""What cannot be true of a gt.csv, row by row: `sonarrec truth check`."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations, pairwise
+from math import dist
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sonarrec.advice.truth import of_another_geometry, sparse, unread_columns
+from sonarrec.arrays import IntArray
+from sonarrec.errors import Diagnostics, SonarrecError, number_of
+from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.readers.log import Log
+from sonarrec.readers.open import find_log
+from sonarrec.results.folders import possible_names
+from sonarrec.tables.read import line_numbers
+from sonarrec.truth.check import SLACK, outside_image
+from sonarrec.truth.match import match_times, share_in_image, wrong_unit
+from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that cannot be true: the line of gt.csv, the kind of fault, and a description."""
+
+    line: int
+    kind: str
+    text: str
+
+
+def check_truth(
+    path: Path, log: Log, landmarks: LandmarkSet, *, max_pan_deg: float
+) -> tuple[int, list[Fault], Diagnostics]:
+    """Check a gt.csv against the log it describes: one pass over the log, for its frames.
+
+    max_pan_deg: by how much the sonar may turn from one frame to the next. Returns the number of
+    rows on this log, the faults in order of the lines, and the faults and notes of the log.
+    Raises SonarrecError if either cannot be read at all.
+    """
+    table = read_rows(path)
+    # Results are named by the log's name, with folders in front if another log has the same name.
+    names = possible_names(log.name, find_log(log.path).location.resolve())
+    row = table.rows_of(table.name_of(names))
+    if len(table.keys) and table.log is not None and not len(row):
+        named = ", ".join(sorted({repr(str(name)) for name in table.log}))
+        raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
+    lines = np.fromiter(line_numbers(path), np.int64, len(table.keys))
+    line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
+    numbers, frame, stretch, faults = _frames(table, row, line, log)
+    if few := sparse(np.searchsorted(numbers, frame[frame >= 0]), numbers):
+        faults.append(Fault(line[0], "sparse", few))
+    if unread := unread_columns(table):
+        faults.append(Fault(1, "columns", unread.removeprefix(f"{path}: ")))
+    known = ", ".join(map(str, landmarks.ids))
+    for strange in np.setdiff1d(landmark, landmarks.ids):
+        found = np.flatnonzero(landmark == strange)
+        text = f"ID.{strange} is not in the set {landmarks.name!r} ({known})"
+        text += f", in {number_of(len(found), 'row')}; --landmarks names another set"
+        faults.append(Fault(line[found[0]], "landmark", text))
+    for n in np.flatnonzero((visible < 0) | (visible > 1)):
+        text = f"visible is a share, 0 to 1, not {visible[n]:g}"
+        faults.append(Fault(line[n], "visible", text))
+    if table.position is not None:
+        fan, radius_m = log.fan, landmarks.radius_m
+        assert fan is not None
+        if other := of_another_geometry(table, row, fan, log.name):
+            faults.append(Fault(line[0], "geometry", other))
+        kind, range_m, bearing_deg = table.position[0], *(v[row] for v in table.position[1:])
+        if kind != "polar":
+            range_m, bearing_deg = polar_from_pixel(fan, range_m, bearing_deg)
+        for a, b in lines[repeated_rows(table)].tolist():
+            if b in line:
+                faults.append(Fault(b, "repeated", f"repeats line {a}"))
+        # Nearer than the floor counts as straight below.
+        floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
+        share = share_in_image(fan, range_m, bearing_deg, radius_m)
+        outside = outside_image(fan, range_m, bearing_deg, radius_m)
+        # Something else may hide a landmark too, so `visible` may be less.
+        for n in np.flatnonzero(outside | ((visible <= 1) & (visible > share + SLACK))):
+            kind = "visible"
+            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
+            if outside[n]:
+                where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
+                kind, text = "outside", f"the whole disc is outside the fan ({where})"
+            faults.append(Fault(line[n], kind, text))
+        columns = (landmark, frame, stretch, range_m, bearing_deg, floor, share)
+        rows = [_Row(*c) for c in zip(line, *(v.tolist() for v in columns), strict=True)]
+        faults += _overlaps(rows, radius_m)
+        faults += _changes(rows, radius_m)
+        faults += _jumps(rows, radius_m, max_pan_deg)
+    diagnostics = Diagnostics()
+    diagnostics.problem(*log.diagnostics.problems)
+    if others := len(table.keys) - len(row):
+        diagnostics.note(f"{number_of(others, 'row')} of other logs not checked")
+    return len(row), sorted(faults, key=lambda fault: fault.line), diagnostics
+
+
+def _frames(
+    table: TruthTable, row: IntArray, line: list[int], log: Log
+) -> tuple[IntArray, IntArray, IntArray, list[Fault]]:
+    """(the numbers of all frames; those of these rows, -1 if the log has no such frame; their
+    stretches; the faults)."""
+    of_log = [(f.index, f.timestamp_ns, f.stretch) for f in log]
+    numbers, stamps, stretch = np.array(of_log, dtype=np.int64).T
+    keys, last = table.keys[row], int(numbers.max())
+    if table.key == "frame":
+        known = np.isin(keys, numbers)
+        frames = np.where(known, keys, -1)
+    else:
+        nearest, known, kept = match_times(stamps, keys)
+        # If truth is denser than the frames, the nearest row counts, as in scoring.
+        frames = np.where(kept, numbers[nearest], -1)
+    faults = []
+    if table.key != "frame" and (unit := wrong_unit(stamps, keys)):
+        faults.append(Fault(line[0], "unit", f"{table.key} fits the log's times only in {unit}"))
+    for n in np.flatnonzero(~known):
+        text = f"frame {keys[n]} is not in the log, which has 0 to {last}"
+        if table.key != "frame":
+            text = f"no frame of the log is near {table.key} {keys[n]}"
+        elif 0 <= keys[n] <= last:
+            text = f"frame {keys[n]} of the log cannot be read"
+        faults.append(Fault(line[n], "frame", text))
+    return numbers, frames, stretch[np.searchsorted(numbers, frames)], faults
+
+
+class _Row(NamedTuple):
+    """A row with a position. frame: -1 if the log has no such frame. stretch: of that frame. floor:
+    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image."""
+
+    line: int
+    landmark: int
+    frame: int
+    stretch: int
+    range_m: float
+    bearing_deg: float
+    floor: list[float]
+    share: float
+
+
+def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
+    """Those rows that are on a frame of the log, by frame, rising."""
+    groups = defaultdict(list)
+    for row in rows:
+        groups[row.frame].append(row)
+    return {frame: groups[frame] for frame in sorted(groups) if frame >= 0}
+
+
+def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
+    """Two landmarks of one frame, of equal or different ID, that would lie on each other."""
+    for group in _by_frame(rows).values():
+        for a, b in combinations(group, 2):
+            distance = dist(a.floor, b.floor)
+            # The same ID in the same position is a repeated row, which is another fault.
+            if distance < radius_m and (distance or a.landmark != b.landmark):
+                text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
+                yield Fault(b.line, "overlap", text)
+
+
+def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
+    """Landmarks that change their ID in one position; the change back is not a second fault."""
+    wrong: set[int] = set()
+    frames = _by_frame(rows)
+    for frame, group in frames.items():
+        before, ids = frames.get(frame - 1, []), {row.landmark for row in group}
+        for b in group:
+            near = [(dist(a.floor, b.floor), a) for a in before if a.stretch == b.stretch]
+            if any(a.landmark == b.landmark and distance < 3 * radius_m for distance, a in near):
+                continue  # it moved here, its neighbour left
+            for distance, a in near:
+                if distance < radius_m and a.landmark not in ids and not wrong & {a.line, b.line}:
+                    wrong.add(b.line)
+                    text = f"ID.{b.landmark} where frame {frame - 1} has ID.{a.landmark} (line "
+                    yield Fault(b.line, "changed", f"{text}{a.line})")
+
+
+def _jumps(rows: Sequence[_Row], radius_m: float, max_pan_deg: float) -> Iterator[Fault]:
+    """Rows too far from every row of the same ID in the last frame that has one, in one stretch.
+
+    A pan leaves ranges as they are; a disc radius a frame is allowed for heave and drift. One that
+    is partly outside the fan may be a second landmark of the ID, which enters.
+    """
+
+    def step(a: _Row, b: _Row) -> float:
+        """The step from one row to another; 1: the limit."""
+        pan = abs(a.bearing_deg - b.bearing_deg) / max_pan_deg
+        return max(pan, abs(a.range_m - b.range_m) / radius_m) / (b.frame - a.frame)
+
+    for landmark in sorted({row.landmark for row in rows}):
+        groups = _by_frame(row for row in rows if row.landmark == landmark).values()
+        for before, group in pairwise(groups):
+            for b in group:
+                a = min(before, key=partial(step, b=b))
+                if b.share == 1 and a.stretch == b.stretch and step(a, b) > 1:
+                    pan, shift = b.bearing_deg - a.bearing_deg, b.range_m - a.range_m
+                    text = f"ID.{landmark} jumps by {pan:+.1f} deg and {shift:+.2f} m from frame "
+                    text += f"{a.frame} (line {a.line}) to {b.frame}"
+                    yield Fault(b.line, "jump", text)

@@ -1,0 +1,118 @@
+"""What may be wrong with a truth as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sonarrec.arrays import IntArray
+from sonarrec.errors import Advice
+from sonarrec.geometry import pixel_from_polar
+from sonarrec.records import Fan
+from sonarrec.truth.check import outside_of_log
+from sonarrec.truth.match import ReadLog, Truth
+from sonarrec.truth.table import TruthTable
+
+MOST_DIFFERENCE_PX = 3.0  # of two statements of one position by one geometry
+MOST_FRAMES = 3  # named in a note
+MOST_OUTSIDE = 0.1  # of positions; more are no slips
+MOST_ADJACENT = 0.1  # of the steps between labelled frames, if every n-th is labelled
+FEWEST = 5  # so many frames at least for a note on a pattern in them
+
+
+def of_truth(table: TruthTable, log: ReadLog, truth: Truth, min_visible: float) -> Iterator[Advice]:
+    """On the truth of one log that is scored. truth: as matched to all frames of the log.
+
+    min_visible: from which share in view a landmark counts.
+    """
+    path, name = table.path, log.name
+    if proposed := unchecked(table, name):
+        yield Advice(f"{proposed}; they say nothing about the results that they came from", True)
+    if len(truth.visible) and (most := truth.visible.max()) < min_visible:
+        yield Advice(
+            f"{path}: `visible` is {most:.2g} at most in all rows on {name}, and counts from "
+            f"{min_visible:g}, so that no landmark is ever in view; check positions and units",
+            grave=True,
+        )
+    if other := of_another_geometry(table, table.rows_of(name), log.fan, name):
+        yield Advice(f"{path}: {other}", grave=True)
+
+
+def unread_columns(table: TruthTable) -> str:
+    """The columns that are not read and may have been meant to be; empty: none.
+
+    Without positions these are all that have no meaning.
+    """
+    found = [(name, near) for name, near in table.unread if near or table.position is None]
+    if not found:
+        return ""
+    names = ", ".join(name for name, _ in found)
+    near = ", ".join(dict.fromkeys(near for _, near in found if near))
+    asked = f"; rename to {near}" * bool(near)
+    if not near and table.position is None:
+        asked = "; positions are read from x_px and y_px, or range_m and bearing_deg"
+    return f"{table.path}: {'columns' if found[1:] else 'column'} {names} not read{asked}"
+
+
+def unchecked(table: TruthTable, name: str) -> str:
+    """How many rows for a log are as `truth propose` wrote them, a clause; empty: none."""
+    rows = table.rows_of(name)
+    if not (proposed := np.count_nonzero(table.proposed[rows])):
+        return ""
+    return (
+        f"{table.path}: {proposed} of {len(rows)} rows for {name} are unchecked proposals of "
+        "`truth propose` (check them with `truth review`, or clear `source`)"
+    )
+
+
+def outside(table: TruthTable, log: ReadLog, truth: Truth, check: str = "") -> Iterator[Advice]:
+    """Whether positions on one log lie outside of its image; grave if many do.
+
+    truth: as matched to the log. check: the command that checks the truth of this log.
+    """
+    wrong = outside_of_log(log, truth)
+    if wrong.any():
+        found = log.frame[np.unique(truth.frame_index[wrong])].tolist()
+        listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
+        how = f"; {check} has their lines" * bool(check)
+        yield Advice(
+            f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions lie outside the image of "
+            f"{log.name}, in frame{'s' * bool(found[1:])} {listed}{how}",
+            grave=bool(wrong.mean() > MOST_OUTSIDE),
+        )
+
+
+def sparse(index: IntArray, frame: IntArray) -> str:
+    """Whether rows are on every n-th frame or so, a clause; empty: no.
+
+    index: of the rows, into frame, (F,) the numbers of the frames.
+    """
+    frames = np.unique(index)
+    if len(frames) < FEWEST or np.mean(np.diff(frames) == 1) > MOST_ADJACENT:
+        return ""
+    first, last = frame[frames[[0, -1]]]
+    return (
+        f"{len(frames)} of {len(frame)} frames, from {first} to {last}, have a row; the others "
+        "count as without a landmark, and claims there as false"
+    )
+
+
+def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name: str) -> str:
+    """Whether pixels and metres of most rows on a log disagree, a clause; empty: no.
+
+    name: of the log.
+    """
+    if fan is None or table.pixel is None or table.position is None:
+        return ""
+    stated = np.column_stack(pixel_from_polar(fan, *(v[rows] for v in table.position[1:])))
+    difference_px = np.linalg.norm(table.pixel[rows] - stated, axis=1)
+    difference_px = difference_px[np.isfinite(difference_px)]
+    wrong = np.sum(difference_px > MOST_DIFFERENCE_PX)
+    if wrong <= len(difference_px) / 2:
+        return ""
+    return (
+        f"{wrong} of {len(difference_px)} rows have x_px, y_px and range_m, bearing_deg that "
+        f"differ by more than {MOST_DIFFERENCE_PX:g} px in {name} (median "
+        f"{np.median(difference_px):.0f} px); the truth seems to be of another log or geometry"
+    )

@@ -1,0 +1,1 @@
+"""What a program calls in place of `sonarrec run` and `sonarrec evaluate`."""

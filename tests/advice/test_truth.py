@@ -1,0 +1,100 @@
+"""What is told of a truth: that its rows mean something else, or lie outside of the image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sonarrec.advice.results import of_results
+from sonarrec.advice.truth import outside, sparse
+from sonarrec.evaluation.evaluate import evaluate_logs
+from sonarrec.evaluation.rows import ScoringOptions
+from sonarrec.landmarks import load_landmarks
+from sonarrec.truth.match import match_truth
+from sonarrec.truth.table import read_truth
+from tests.support.command import SAMPLE, sonarrec
+from tests.support.crossing import write_crossing
+from tests.support.drawn import make_fan
+from tests.support.rows import read_rows
+
+
+@pytest.mark.parametrize(
+    ("row", "labelled", "doubt"),
+    [
+        ("{n},1,2.0,{bearing},1", 24, None),
+        ("{n},2,2.0,{bearing},1", 24, "if `landmark` 2 were ID.1"),
+        ("{n},1,1.0,{bearing},1", 24, "if range were that stated +1 m"),
+        ("{n},1,2.0,{doubled},1", 24, "if bearing were that stated times 0.5"),
+        ("{n},1,{scattered},{bearing},1", 24, "0 of 24 rows on out and 0 of 24 claims of m meet"),
+        ("{n},{either},2.0,{bearing},1", 24, "12 of 24 rows lie on claims of other IDs"),
+        ("{n},1,2.0,{half},1", 24, "rows would meet claims only with the sign of their bearings"),
+        ("{after},1,2.0,{bearing},1", 23, "better 1 frame earlier (0.25 s)"),
+        ("{n},1,2.0,{turned},1", 24, "with the sign of their bearings reversed"),
+        ("{n},1,2.0,{radians},1", 24, "with bearings in radians"),
+        ("{n},1,2.0,{bearing},0", 24, "`visible` is 0 at most in all rows on out"),
+        ("{n},1,2.0,{bearing},0.4", 24, "`visible` is 0.4 at most in all rows on out"),
+        ("{n},1,2.0,{bearing},1", 12, "end at frame 11, and 12 of the 12 frames without one"),
+    ],
+)
+def test_what_makes_figures_mean_something_else_comes_first(
+    tmp_path: Path, row: str, labelled: int, doubt: str | None
+) -> None:
+    write_crossing(tmp_path, row, range(labelled))
+    call = "evaluate", tmp_path / "out", "--ground-truth", tmp_path / "gt.csv"
+    said = sonarrec(*call, code=3 if doubt else 0).stderr.partition("\n")[0]
+    assert doubt in said if doubt else not said
+
+
+@pytest.mark.slow
+def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
+    sonarrec("run", "-q", SAMPLE, "-o", tmp_path)
+    rows = read_rows(SAMPLE / "gt.csv")
+    truth = ["frame,landmark,range_m,bearing_deg"]
+    for row in rows:  # the log shows 1.25 to 3.75 m
+        range_m = 5 - float(row["range_m"])
+        truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
+    (tmp_path / "gt.csv").write_text("\n".join(truth))
+    call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
+    assert "better with the other --range-order" in sonarrec(*call, code=3).stderr
+
+
+@pytest.mark.parametrize(
+    ("frames", "is_sparse"),
+    [([*range(0, 60, 10)], True), ([*range(9)], False), ([0, 1, 10, 20, 30, 40], False)],
+)
+def test_rows_on_every_nth_frame_are_told(frames: list[int], is_sparse: bool) -> None:
+    told = sparse(np.repeat(frames, 2), np.arange(100, 160))
+    assert bool(told) == is_sparse
+    assert not told or "6 of 60 frames, from 100 to 150" in told
+
+
+@pytest.mark.parametrize(("count", "is_problem"), [(2, False), (12, True)])
+def test_many_positions_outside_the_image_are_a_problem(
+    tmp_path: Path, count: int, is_problem: bool
+) -> None:
+    path, fan, frame = tmp_path / "gt.csv", make_fan(), np.arange(40)
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    bearings = [fan.bearing_max_deg + 20 if n < count else middle for n in range(40)]
+    range_m = (fan.range_min_m + fan.range_max_m) / 2
+    rows = [f"{n},1,{range_m},{bearing}" for n, bearing in enumerate(bearings)]
+    path.write_text("\n".join(["frame,landmark,range_m,bearing_deg", *rows]))
+    basin = load_landmarks("basin")
+    log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
+    table = read_truth(path)
+    (line,) = outside(table, log, match_truth(table, log))
+    assert f"{count} of 40 positions lie outside" in line.text
+    assert line.grave == is_problem
+
+
+def test_scoring_by_itself_advises_nothing_and_gives_the_same_counts(tmp_path: Path) -> None:
+    write_crossing(tmp_path, "{n},1,2.0,{turned},1", range(24))
+    results, truth = tmp_path / "out", tmp_path / "gt.csv"
+    alone = evaluate_logs(results, truth)
+    advised = evaluate_logs(results, truth, ScoringOptions(), of_results)
+    assert not alone.unused
+    assert len(advised.unused) == 1
+    assert alone.confusion.equals(advised.confusion)
