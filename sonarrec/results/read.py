@@ -537,6 +537,16 @@ def read_results(folder: str | Path) -> Tables:
     ------
     SonarrecError
         frames.csv or estimates.csv cannot be read.
+
+    Examples
+    --------
+    >>> tables = sonarrec.read_results("sample_data/regression/pan")
+    >>> declared = tables.estimates[tables.estimates.declared == 1]
+    >>> last = declared[["frame", "method", "landmark", "range_m"]].round(1).tail(2)
+    >>> print(last.to_string(index=False))
+     frame    method  landmark  range_m
+       127       smi         3      2.0
+       127 framework         1      2.0
     """
     folder = Path(folder)
     sightings = folder / "sightings.csv"
