@@ -56,14 +56,12 @@ MOST_NAMED = 6
 
 
 class LogToScore(NamedTuple):
-    """The results of one log, or its old and its new ones, and its truth.
-
-    name: of the log, also for the log column of the truth.
-    """
+    """The results of one log, or its old and its new ones, and its truth."""
 
     results: tuple[Path, ...]
     ground_truth: Path
     name: str
+    """Of the log, also for the log column of the truth."""
 
 
 @dataclass(slots=True)

@@ -120,14 +120,16 @@ def ece(sums: FloatArray) -> FloatArray:
 
 
 class Metric(NamedTuple):
-    """One metric: a name on screen and in the report, how many digits, of which sums, and whether
-    it is printed without --details."""
+    """One metric."""
 
     label: str
+    """Its name on screen and in the report."""
     digits: int
     kind: str
+    """Of the sums that it is a function of, see Sample."""
     function: Callable[..., FloatArray]
     brief: bool = False
+    """Whether it is printed without --details."""
 
 
 _PAPER = f"{FPR_POINTS[1]:g}"

@@ -24,13 +24,16 @@ DPI = 120
 
 @dataclass(frozen=True, slots=True)
 class Roc:
-    """One chart. lines: by method the corners of its ROC. points, published: operating points and,
-    if they are comparable, the paper's: name, fpr, tpr, label. fpr_end: of the axis."""
+    """One chart."""
 
     lines: dict[str, pd.DataFrame]
+    """By method the corners of its ROC."""
     points: pd.DataFrame
     published: pd.DataFrame
+    """points, published: operating points and, if they are comparable, the paper's: name, fpr, tpr,
+    label."""
     fpr_end: float
+    """Of the axis."""
 
 
 def roc(counts: Counts, protocol: str, most: int = 2000) -> Roc:
