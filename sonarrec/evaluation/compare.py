@@ -313,11 +313,12 @@ def _rates(before: Counts, after: Counts, compared: Sequence[tuple[str, str]]) -
 
 def _long(counts: Counts) -> pd.DataFrame:
     """A row for each rate of `confusion`: its value, and of how many cases."""
-    table = counts.confusion
-    cases = pd.DataFrame({"tpr": table.tp + table.fn, "fpr": table.fp + table.tn})
-    columns = {"value": table[RATES], "of": cases}
-    long = {name: of.rename_axis(columns="rate").stack() for name, of in columns.items()}
-    return pd.DataFrame(long).reset_index()
+    rows = []
+    for key, c in counts.confusion.items():
+        rows += [(*key, "tpr", c.tpr, c.tp + c.fn), (*key, "fpr", c.fpr, c.fp + c.tn)]
+    return pd.DataFrame(
+        rows, columns=["method", "protocol", "log", "landmark", "rate", "value", "of"]
+    )
 
 
 class Row(NamedTuple):
@@ -474,16 +475,19 @@ def _changed_passes(found: Comparison) -> list[str]:
     method = found.methods[0][1]
     protocol = max(protocol for protocol, of in found.methods if of == method)
     old, new = (
-        side.passes[(side.passes.method == method) & (side.passes.protocol == protocol)]
-        for side in (found.before, found.after)
+        passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
+        for passes in (found.before.passes, found.after.passes)
     )
-    both = new.assign(old=old.right.to_numpy())
-    both = both.assign(change=(both.right - both.old).abs())
-    both = both.sort_values("change", ascending=False, kind="stable")[:MOST_PASSES]
+    change = np.abs(new["right"] - old["right"])
+    order = np.argsort(-change, kind="stable")[:MOST_PASSES]
+    most = new.with_columns(old=old["right"])[order[change[order] > 0]]
+    names = ("log", "first_frame", "last_frame", "landmark", "old", "right", "frames")
     return [
-        f"{p.log} frames {p.first_frame}-{p.last_frame}, ID.{p.landmark}: "
-        f"right in {p.old} -> {p.right} of {p.frames} ({method}, {protocol})"
-        for p in both[both.change > 0].itertuples()
+        f"{log} frames {first}-{last}, ID.{landmark}: "
+        f"right in {was} -> {now} of {frames} ({method}, {protocol})"
+        for log, first, last, landmark, was, now, frames in zip(
+            *(most[name] for name in names), strict=True
+        )
     ]
 
 

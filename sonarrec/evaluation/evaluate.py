@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarrec.errors import Diagnostics, SonarrecError, number_of, printable, refuse_url
-from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.counts import Counts, Tally
 from sonarrec.evaluation.doubts import doubts
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.pairs import Pair, check_of, find_truths, read_pairs, usable_pairs
@@ -239,8 +239,8 @@ def score_logs(
     copies = Diagnostics()
     once = CountedOnce(action, copies)
     orders: Orders = {}
-    sides_of = defaultdict[tuple[int, ...], list[Counts]](
-        lambda: [Counts(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
+    tallies = defaultdict[tuple[int, ...], list[Tally]](
+        lambda: [Tally(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
     )
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
@@ -252,8 +252,8 @@ def score_logs(
         read.append(score)
         if once.add(score.log.results[-1], score.recording):
             kept.append(score)
-            for counts, matched in zip(sides_of[score.ids], score.matched, strict=False):
-                counts.add(matched)
+            for tally, matched in zip(tallies[score.ids], score.matched, strict=False):
+                tally.add(matched)
         score.matched = []
     if not read:
         raise unread[0][1]
@@ -273,7 +273,7 @@ def score_logs(
         raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
     ids = Counter(score.ids for score in scored).most_common(1)[0][0]
     others = [score for score in scored if score.ids != ids]
-    scored, sides = [score for score in scored if score.ids == ids], sides_of[ids]
+    scored = [score for score in scored if score.ids == ids]
     diagnostics.problem(*(line for score in scored for line in score.unused))
     diagnostics.problem(*_other_sets(others, ids, len(scored), action))
     diagnostics.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
@@ -284,10 +284,9 @@ def score_logs(
     diagnostics.note(*outdated([folder for score in scored for folder in score.log.results]))
     diagnostics.note(*copies.notes)
     diagnostics.note(*(note for score in scored for note in score.notes))
-    for counts in sides:
-        counts.finish(
-            [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
-        )
+    folders = [score.log.results[-1] for score in scored]
+    methods = options.methods if len(tallies[ids]) == 1 else ()
+    sides = [tally.counts(folders, methods) for tally in tallies[ids]]
     for score, name in zip(scored, sides[0].logs, strict=True):
         report_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
@@ -465,8 +464,9 @@ def _notes(counts: Counts) -> Iterator[str]:
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     yield from lacks(counts)
-    in_view = counts.base.groupby("landmark").fn.sum()
-    unseen = [f"ID.{landmark}" for landmark in counts.ids if not in_view[landmark]]
+    base = counts.rows("base")
+    in_view = {*base["landmark"][base["fn"] > 0].tolist()}
+    unseen = [f"ID.{landmark}" for landmark in counts.ids if landmark not in in_view]
     if unseen:
         yield f"never in view: {', '.join(unseen)}; a TPR of 0/0 says nothing"
 

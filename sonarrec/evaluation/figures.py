@@ -168,7 +168,7 @@ class Sample:
     per_unit: FloatArray
     """(U, ...) to be weighted and added up."""
     total: FloatArray
-    """(1, ...) of all units, exact where those by unit are coarser."""
+    """(1, ...) of all units; of curves and errors in each point."""
     values: tuple[FloatArray, ...] = ()
     """Of errors: the values at which the sums by unit count."""
     total_values: tuple[FloatArray, ...] = ()
@@ -222,21 +222,23 @@ def samples(counts: Counts) -> Iterator[Sample]:
 
 def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
     """Operating points and ROCs of one method under one protocol, per ID and in total."""
-    points, base, claims = counts.points, counts.base, counts.rows("claims", method, protocol)
-    points = points[(points.method == method) & (points.protocol == protocol)]
-    base = base[base.protocol == protocol]
+    base, declared, claims = (
+        counts.rows(name, of, protocol)
+        for name, of in (("base", ""), ("declared", method), ("claims", method))
+    )
     for landmark in counts.landmarks:
         roc = counts.curve(method, protocol, landmark)
-        exact = roc[COUNTS].to_numpy().T
+        exact = np.stack([roc[name] for name in COUNTS])
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
-        index = np.maximum(np.searchsorted(roc.fpr, FPR_GRID, side="right") - 1, 0)
+        index = np.maximum(np.searchsorted(roc["fpr"], FPR_GRID, side="right") - 1, 0)
         sums = np.zeros((counts.units.number, 4, 1 + len(FPR_GRID)))
-        for column, of_all in enumerate((points, base)):
-            of = of_landmark(of_all, landmark)
-            np.add.at(sums[:, :, column], of.unit.to_numpy(), of[COUNTS].to_numpy())
-        mine = claims if landmark == TOTAL else claims[claims["landmark"] == int(landmark)]
-        bins = np.searchsorted(-roc.threshold.to_numpy()[index], -mine["score"] / MILLION)
+        without = of_landmark(base, landmark)
+        for of, columns in ((without, 2), (of_landmark(declared, landmark), 1)):
+            added = np.stack([of[name] for name in COUNTS], axis=-1)
+            np.add.at(sums[:, :, :columns], of["unit"], added[:, :, None])
+        mine = of_landmark(claims, landmark)
+        bins = np.searchsorted(-roc["threshold"][index], -mine["score"] / MILLION)
         cell = mine["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
         for c, name in enumerate(COUNTS):
             added = np.bincount(cell, mine[name], len(sums) * len(FPR_GRID))
@@ -248,11 +250,8 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
 
 def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     """Errors of right claims: "position", m, or "orientation", deg."""
-    by_unit, exact = (
-        {method: counts.rows(kind, method, exact=is_exact) for method in counts.methods}
-        for is_exact in (False, True)
-    )
-    every = stacked([*exact.values()]).select(["value", "n"]).added_up(["value"])
+    errors_of = {method: counts.rows(kind, method) for method in counts.methods}
+    every = stacked([*errors_of.values()]).select(["value", "n"]).added_up(["value"])
     if not len(every):
         return
     # The values are quantiles of all errors, the same for every method; their ranks are those of
@@ -262,13 +261,10 @@ def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     values = np.unique(every["value"][np.searchsorted(reached, ranks, side="right")])
     for method in counts.methods:
         for landmark in counts.landmarks:
-            of, mine = (
-                rows if landmark == TOTAL else rows[rows["landmark"] == int(landmark)]
-                for rows in (by_unit[method], exact[method])
-            )
+            mine = of_landmark(errors_of[method], landmark)
             sums = np.zeros((counts.units.number, len(values)))
-            column = np.minimum(np.searchsorted(values, of["value"]), len(values) - 1)
-            np.add.at(sums, (of["unit"], column), of["n"])
+            column = np.minimum(np.searchsorted(values, mine["value"]), len(values) - 1)
+            np.add.at(sums, (mine["unit"], column), mine["n"])
             sums = np.cumsum(sums, axis=1).astype(np.float32)
             own = mine.select(["value", "n"]).added_up(["value"])
             own = own if len(own) else Table(value=values[:1], n=0)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from sonarrec.arrays import stacked
 from sonarrec.errors import number_of
 from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.figures import Summary
@@ -61,30 +62,40 @@ class Evaluation:
     @property
     def confusion(self) -> pd.DataFrame:
         """Rates and counts, per ID and in total."""
-        return self.counts.confusion.xs("", level="log").reset_index()[HEADERS["confusion"]]
+        rows = [
+            (protocol, method, landmark, *(getattr(count, name) for name in COUNTED))
+            for (method, protocol, log, landmark), count in self.counts.confusion.items()
+            if not log
+        ]
+        return pd.DataFrame(rows, columns=HEADERS["confusion"])
 
     @property
     def roc(self) -> pd.DataFrame:
         """The corners of every curve, thresholds falling from inf."""
         curves = [
-            self.counts.corners(method, protocol, landmark).assign(
+            self.counts.corners(method, protocol, landmark).with_columns(
                 method=method, protocol=protocol, landmark=landmark
             )
             for method in self.counts.methods
             for protocol in self.counts.protocols
             for landmark in self.counts.landmarks
         ]
-        return pd.concat(curves, ignore_index=True)[HEADERS["roc"]]
+        return pd.DataFrame(stacked(curves).select(HEADERS["roc"]).columns)
 
     @property
     def figures(self) -> pd.DataFrame:
         """All figures with their 95 % intervals; of several logs also the rates of each."""
         found = self.summary.figures.assign(log="")
         if len(self.counts.logs) > 1:
-            each = self.counts.confusion[["tpr", "fpr"]].drop("", level="log")
-            each = each.rename_axis(columns="figure").stack().reset_index(name="value")
-            blank = {"units": "", "note": ""}
-            found = pd.concat([found.astype({"units": object}), each.assign(**blank)])
+            each = [
+                (protocol, method, landmark, name, getattr(count, name), "", "", log)
+                for (method, protocol, log, landmark), count in self.counts.confusion.items()
+                for name in ("tpr", "fpr")
+                if log
+            ]
+            known = [*LABELS, "figure", "value", "units", "note", "log"]
+            of_logs = pd.DataFrame(each, columns=known)
+            found = pd.concat([found.astype({"units": object}), of_logs])
         return found[HEADERS["figures"]].reset_index(drop=True)
 
     @property
@@ -96,7 +107,7 @@ class Evaluation:
     @property
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
-        return self.counts.passes[HEADERS["passes"]]
+        return pd.DataFrame(self.counts.passes.select(HEADERS["passes"]).columns)
 
     @property
     def mistakes(self) -> pd.DataFrame:
@@ -175,10 +186,9 @@ def json_text(evaluation: Evaluation) -> str:
     counts, summary = evaluation.counts, evaluation.summary
     methods: dict[str, Any] = {}
     per_log: dict[str, Any] = {log: {} for log in counts.logs}
-    for (method, protocol, log, landmark), row in zip(
-        counts.confusion.index, counts.confusion[COUNTED].to_dict("records"), strict=True
-    ):
+    for (method, protocol, log, landmark), count in counts.confusion.items():
         of = per_log[log] if log else methods
+        row = {name: getattr(count, name) for name in COUNTED}
         of.setdefault(method, {}).setdefault(protocol, {})[landmark] = row
     document = {
         "logs": list(counts.logs),

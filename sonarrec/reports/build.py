@@ -174,7 +174,7 @@ def _of_one_set(
         truth = cache(read_truth)
         for n in worst_first(evaluation.counts):
             name, gt = evaluation.counts.logs[n], evaluation.truths[n]
-            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.names[n], name))
+            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.counted[n].name, name))
     return [*to_show, *(LogToShow(f) for f in folders if f not in {*scored, *others})]
 
 
