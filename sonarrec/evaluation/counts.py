@@ -376,10 +376,6 @@ class Counts:
             of = of[of["protocol"] == PROTOCOLS.index(protocol)]
         return of.with_columns(unit=self._unit[of["unit"]]) if "unit" in of.columns else of
 
-    def base(self, protocol: str) -> Table:
-        """TP, TN, FP, FN without any claim, by log, landmark and unit."""
-        return self.rows("base", protocol=protocol)
-
     @cached_property
     def confusion(self) -> dict[tuple[str, str, str, str], Count]:
         """Counts and rates by method, protocol, log ("": all) and landmark, with the total."""
@@ -388,7 +384,7 @@ class Counts:
         for method in self.methods:
             for protocol in self.protocols:
                 sums = np.zeros(shape, dtype=int)
-                base = self.base(protocol)
+                base = self.rows("base", protocol=protocol)
                 of = base.with_columns(positives=base["fn"])
                 for rows in (of, self.rows("declared", method, protocol)):
                     k = np.array([self.ids.index(i) for i in rows["landmark"].tolist()], dtype=int)
@@ -423,7 +419,7 @@ class Counts:
         steps = of_landmark(self._steps(method, protocol), landmark)
         if landmark == TOTAL:
             steps = steps.select(["score", *COUNTS]).added_up(["score"])
-        base = of_landmark(self.base(protocol), landmark)
+        base = of_landmark(self.rows("base", protocol=protocol), landmark)
         of = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
         found = Table(
             **of,
@@ -454,24 +450,17 @@ class Counts:
             of = of_all[nobodys | (of_all["method"] == self.found.index(method))]
             for row in zip(*(column.tolist() for column in of.columns.values()), strict=True):
                 m = dict(zip(of.columns, row, strict=True))
-                at_start = m["first"] == m["last"] == self.counted[m["log"]].first_frame
-                found.append(
-                    Mistake(
-                        log=self.logs[m["log"]],
-                        method=method,
-                        kind=KINDS[m["kind"]],
-                        landmark=self.ids[m["landmark"]],
-                        other=None if m["other"] < 0 else self.ids[m["other"]],
-                        first_frame=m["first"],
-                        last_frame=m["last"],
-                        frames=m["frames"],
-                        score=m["score"],
-                        times=m["times"],
-                        worst_frame=m["worst"],
-                        protocol=protocol,
-                        at_start=int(at_start and KINDS[m["kind"]] == MISSED and follows(method)),
-                    )
-                )
+                first, kind = self.counted[m["log"]].first_frame, KINDS[m["kind"]]
+                at_start = m["first_frame"] == m["last_frame"] == first and kind == MISSED
+                named = {
+                    "log": self.logs[m["log"]],
+                    "method": method,
+                    "kind": kind,
+                    "landmark": self.ids[m["landmark"]],
+                    "other": None if m["other"] < 0 else self.ids[m["other"]],
+                    "protocol": protocol,
+                }
+                found.append(Mistake(**m | named, at_start=int(at_start and follows(method))))
         return sorted(found, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 
     @cached_property

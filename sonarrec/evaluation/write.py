@@ -12,7 +12,7 @@ import pandas as pd
 
 from sonarrec.arrays import stacked
 from sonarrec.errors import number_of
-from sonarrec.evaluation.counts import TOTAL, Counts
+from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.figures import Summary
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
@@ -118,20 +118,15 @@ class Evaluation:
     @property
     def table(self) -> pd.DataFrame:
         """A row per method: TPR and FPR under each protocol over all IDs."""
-        found = self.confusion
-        total = found[found.landmark == TOTAL].set_index(["method", "protocol"])
-        methods = list(self.counts.methods)
-        return (
-            pd.DataFrame(
-                {
-                    f"{protocol} {rate.upper()}": total[rate].xs(protocol, level="protocol")
-                    for protocol in self.counts.protocols
-                    for rate in ("tpr", "fpr")
-                }
-            )
-            .reindex(methods)
-            .rename_axis("method")
-        )
+        methods = pd.Index(self.counts.methods, name="method")
+        columns = {
+            f"{protocol} {rate.upper()}": [
+                getattr(self.counts.count(method, protocol), rate) for method in methods
+            ]
+            for protocol in self.counts.protocols
+            for rate in ("tpr", "fpr")
+        }
+        return pd.DataFrame(columns, index=methods)
 
     def __repr__(self) -> str:
         logs, frames = len(self.folders), self.counts.frames
