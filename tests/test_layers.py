@@ -34,21 +34,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2890,
-    "drawing": 735,
+    "cli": 2891,
+    "drawing": 733,
     "evaluation": 3957,
     "geometry": 418,
-    "learning": 529,
-    "mapping": 1392,
+    "learning": 530,
+    "mapping": 1397,
     "overlays": 547,
     "readers": 6301,
     "recogniser": 6441,
-    "reports": 2126,
+    "reports": 2132,
     "results": 1989,
     "runs": 1797,
     "simulation": 2611,
     "tables": 1013,
-    "truth": 1269,
+    "truth": 1272,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

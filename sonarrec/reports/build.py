@@ -41,14 +41,17 @@ MOST_SEEN = MOST_MISTAKEN = 6
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Report:
-    """What was written. pictures: drawn frames on the page. held: frames that a click shows.
-    unused: one line for each part of the input that could not be used. notes: what else to know."""
+    """What was written."""
 
     path: Path
     pictures: int
+    """Drawn frames on the page."""
     held: int
+    """Frames that a click shows."""
     unused: tuple[str, ...]
+    """One line for each part of the input that could not be used."""
     notes: tuple[str, ...] = ()
+    """What else to know."""
 
 
 def report(

@@ -37,10 +37,11 @@ Tick = tuple[float, str]
 
 
 class Shape(NamedTuple):
-    """One path of a chart. colour: index of the ID or method; None: grey."""
+    """One path of a chart."""
 
     path: str
     colour: int | None
+    """Index of the ID or method; None: grey."""
     kind: str = "line"
     label: str = ""
 
@@ -56,9 +57,10 @@ class Dot(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """One chart. description: what it shows, in words, for screen readers."""
+    """One chart."""
 
     description: str
+    """What it shows, in words, for screen readers."""
     shapes: Sequence[Shape]
     x_ticks: Sequence[Tick] = ()
     y_ticks: Sequence[Tick] = ()
