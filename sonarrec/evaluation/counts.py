@@ -270,7 +270,7 @@ class Tally:
         )
 
     def counts(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
-        """The counts of all logs.
+        """The counts of all logs, after the last one.
 
         folders: one per log. Logs of one name are named by their folders. methods: those wanted;
         all if none is named. Raises SonarrecError if no log has a method to score, or
@@ -285,7 +285,8 @@ class Tally:
         scored = chosen(there, methods, ", ".join(names))
         if not scored:
             raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-        tables = {name: stacked(parts) for name, parts in self._tables.items()}
+        # The parts go as they are joined: there are millions of rows in many logs.
+        tables = {name: stacked(self._tables.pop(name)) for name in [*self._tables]}
         return Counts(tuple(names), tuple(self._logs), scored, tuple(self._methods), tables)
 
 
