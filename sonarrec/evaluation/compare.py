@@ -293,13 +293,14 @@ def _rates(before: Counts, after: Counts, compared: Sequence[tuple[str, str]]) -
         # One ID at a time, since the curves of many logs are long.
         sides = zip(*(rates(side, method, protocol) for side in (before, after)), strict=True)
         tests = [d for a, b in sides for d in differences(a, b, weights, tosses)]
-        rows += [d | {"method": method, "log": ""} for d in tests if d["figure"] in MAIN]
+        in_all = {"method": method, "log": ""}
+        rows += [d._asdict() | in_all for d in tests if d.figure in MAIN]
         for log in after.logs if len(after.logs) > 1 else ():
             old, new = (side.count(method, protocol, log=log) for side in (before, after))
-            of = {"protocol": protocol, "method": method, "landmark": TOTAL, "log": log}
+            in_log = {"protocol": protocol, "method": method, "landmark": TOTAL, "log": log}
             for name in RATES:
                 values = {"value_a": getattr(old, name), "value_b": getattr(new, name)}
-                rows.append(of | {"figure": name, **values, "units": 0, "note": ""})
+                rows.append(in_log | {"figure": name, **values, "units": 0, "note": ""})
     for row in rows:
         count = after.count(row["method"], row["protocol"], row["landmark"], row["log"])
         # An area is over as many cases as the TPR.

@@ -7,14 +7,13 @@ many draws, (draws, ...), and gives (draws,) figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.arrays import FloatArray, Table, stacked
 from sonarrec.errors import number_of, printable
@@ -285,15 +284,43 @@ def calibration(counts: Counts) -> Iterator[Sample]:
 
 # Figures with intervals, and differences with tests
 
-FIGURES = ["protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note"]
-DIFFERENCES = [
-    *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b"),
-    *("low", "high", "p", "units", "note"),
-]
+
+class Figure(NamedTuple):
+    """A row of figures.csv."""
+
+    protocol: str
+    method: str
+    landmark: str
+    figure: str
+    """The name of its metric."""
+    value: float
+    low: float
+    high: float
+    """low, high: its interval; NaN if there is none, and then `note` says why."""
+    units: int
+    """How many have a case."""
+    note: str
 
 
-def intervals(sample: Sample, weights: FloatArray) -> Iterator[dict[str, Any]]:
-    """The figures of a sample with their intervals, as rows of FIGURES."""
+class Difference(NamedTuple):
+    """A metric of two methods on the same units; the interval and the test are of b - a."""
+
+    protocol: str
+    a: str
+    b: str
+    landmark: str
+    figure: str
+    value_a: float
+    value_b: float
+    low: float
+    high: float
+    p: float
+    units: int
+    note: str
+
+
+def intervals(sample: Sample, weights: FloatArray) -> Iterator[Figure]:
+    """The figures of a sample with their intervals."""
     for name in sample.metrics():
         value, units = sample.value(name), sample.cases(name)
         low = high = np.nan
@@ -308,15 +335,14 @@ def intervals(sample: Sample, weights: FloatArray) -> Iterator[dict[str, Any]]:
             note = f"alike in all {units} units: no interval"
         else:
             low, high = interval(drawn, units)
-        of = {"protocol": sample.protocol, "method": sample.method, "landmark": sample.landmark}
-        limits = {"low": low, "high": high}
-        yield {**of, "figure": name, "value": value, **limits, "units": units, "note": note}
+        of = sample.protocol, sample.method, sample.landmark
+        yield Figure(*of, name, value, low, high, units, note)
 
 
 def differences(
     a: Sample, b: Sample, weights: FloatArray, tosses: FloatArray
-) -> Iterator[dict[str, Any]]:
-    """The differences b - a of two methods on the same units, as rows of DIFFERENCES."""
+) -> Iterator[Difference]:
+    """The differences b - a of two methods on the same units."""
     total_a, total_b = (of.per_unit.sum(axis=0) for of in (a, b))
     known = {name: min(a.cases(name), b.cases(name)) for name in a.metrics()}
     enough = max(known.values()) >= MIN_UNITS
@@ -338,54 +364,45 @@ def differences(
             note = "alike in every unit" if is_equal else ""
             if not is_equal:
                 low, high = interval(drawn[1] - drawn[0], units)
-        of = {"protocol": a.protocol, "a": a.method, "b": b.method, "landmark": a.landmark}
-        found = {"value_a": values[0], "value_b": values[1], "low": low, "high": high, "p": p}
-        yield {**of, "figure": name, **found, "units": units, "note": note}
+        of = a.protocol, a.method, b.method, a.landmark
+        yield Difference(*of, name, *values, low, high, p, units, note)
 
 
 class Summary(NamedTuple):
     """Figures with intervals, and differences between each two methods, in total."""
 
     units: Units
-    figures: pd.DataFrame
-    """FIGURES."""
-    differences: pd.DataFrame
-    """DIFFERENCES."""
+    figures: tuple[Figure, ...]
+    differences: tuple[Difference, ...]
     notes: tuple[str, ...]
 
-    def figure(self, protocol: str, method: str, name: str, landmark: str = TOTAL) -> Any:
-        """One row of figures; None if it was not measured."""
-        f = self.figures
-        wanted = (f.protocol == protocol) & (f.method == method) & (f.figure == name)
-        return next(f[wanted & (f.landmark == landmark)].itertuples(index=False), None)
+    def figure(self, protocol: str, method: str, name: str, landmark: str = TOTAL) -> Figure | None:
+        """One of the figures; None if it was not measured."""
+        wanted = (protocol, method, landmark, name)
+        return next((figure for figure in self.figures if figure[:4] == wanted), None)
 
 
 def summarise(counts: Counts) -> Summary:
     """Figures, intervals and tests of an evaluation."""
     units = counts.units
     weights, tosses = draws(units.number)
-    rows: list[Mapping[str, Any]] = []
+    figures: list[Figure] = []
     totals: dict[str, list[Sample]] = {}  # by kind and protocol
     for sample in samples(counts):
-        rows += intervals(sample, weights)
+        figures += intervals(sample, weights)
         if sample.landmark == TOTAL:
             totals.setdefault(f"{sample.kind} {sample.protocol}", []).append(sample)
     # What one without tracks, the baseline, has is subtracted.
-    tests: list[Mapping[str, Any]] = []
+    tests: list[Difference] = []
     for group in totals.values():
         for pair in combinations(group, 2):
             a, b = sorted(pair, key=lambda sample: follows(sample.method))
             tests += differences(a, b, weights, tosses)
-    figures = pd.DataFrame(rows, columns=FIGURES)
-    return Summary(
-        units,
-        figures,
-        pd.DataFrame(tests, columns=DIFFERENCES),
-        tuple(map(printable, few_units(counts, figures))),
-    )
+    notes = tuple(map(printable, few_units(counts, figures)))
+    return Summary(units, tuple(figures), tuple(tests), notes)
 
 
-def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[str]:
+def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
     """A note if the units are too few for intervals and tests: why they are, how much it takes.
 
     figures: so that one on those with cases in too few of the units can be given.
@@ -395,8 +412,7 @@ def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[s
         len(counts.logs),
         len(counts.rows("passes", protocol="paper")),
     )
-    cases = [] if figures is None else figures.units[figures.landmark == TOTAL].tolist()
-    few = [n for n in cases if 0 < n < MIN_UNITS]
+    few = [f.units for f in figures if f.landmark == TOTAL and 0 < f.units < MIN_UNITS]
     least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
         return

@@ -13,7 +13,7 @@ import pandas as pd
 from sonarrec.arrays import stacked
 from sonarrec.errors import number_of
 from sonarrec.evaluation.counts import Counts
-from sonarrec.evaluation.figures import Summary
+from sonarrec.evaluation.figures import Difference, Figure, Summary
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
 from sonarrec.tables.outputs import (
@@ -85,7 +85,7 @@ class Evaluation:
     @property
     def figures(self) -> pd.DataFrame:
         """All figures with their 95 % intervals; of several logs also the rates of each."""
-        found = self.summary.figures.assign(log="")
+        found = pd.DataFrame(self.summary.figures, columns=Figure._fields).assign(log="")
         if len(self.counts.logs) > 1:
             each = [
                 (protocol, method, landmark, name, getattr(count, name), "", "", log)
@@ -101,7 +101,7 @@ class Evaluation:
     @property
     def tests(self) -> pd.DataFrame:
         """The differences of each two methods, with intervals and p-values."""
-        found = self.summary.differences
+        found = pd.DataFrame(self.summary.differences, columns=Difference._fields)
         return found.assign(difference=found.value_b - found.value_a)
 
     @property
@@ -200,12 +200,16 @@ def json_text(evaluation: Evaluation) -> str:
         "units": summary.units.number,
         "methods": methods,
         "per_log": per_log,
-        "figures": summary.figures.rename(columns={"figure": "name"}).to_dict("records"),
-        "differences": summary.differences.rename(columns={"figure": "name"}).to_dict("records"),
+        "figures": [_named(figure) for figure in summary.figures],
+        "differences": [_named(difference) for difference in summary.differences],
         "notes": list(evaluation.notes),
         "unused": list(evaluation.unused),
     }
     return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+
+
+def _named(row: Figure | Difference) -> dict[str, Any]:
+    return {"name" if key == "figure" else key: cell for key, cell in row._asdict().items()}
 
 
 def _finite(value: Any) -> Any:
