@@ -340,22 +340,25 @@ class PoseTable:
 
     Positions and headings are the sonar's own on the floor. Only differences between rows count, so
     the origin and the direction of zero are free.
-
-    name: in messages. source: what run.toml says of it. time_ns: (N,). pose: (N, 3) yaw in
-    deg, positive to the right (clockwise seen from above) and without jumps of 360, then x and y,
-    the position on the floor in m, y ahead and x to the right of a sonar whose yaw is 0. gap_ns:
-    there is no pose between two rows with a longer gap. problems: a line for each row that could
-    not be used. axes: the directions of x and y in the user's own table at yaw 0; in `pose` they
-    are always right and ahead.
     """
 
     name: str
+    """In messages."""
     source: Mapping[str, str]
+    """What run.toml says of it."""
     time_ns: IntArray
+    """(N,)."""
     pose: FloatArray
+    """(N, 3) yaw in deg, positive to the right (clockwise seen from above) and without jumps of
+    360, then x and y, the position on the floor in m, y ahead and x to the right of a sonar whose
+    yaw is 0."""
     gap_ns: float
+    """There is no pose between two rows with a longer gap."""
     problems: tuple[str, ...] = ()
+    """A line for each row that could not be used."""
     axes: Literal["right, ahead", "ahead, left"] = "right, ahead"
+    """The directions of x and y in the user's own table at yaw 0; in `pose` they are always right
+    and ahead."""
 
     def covers(self, time_ns: int) -> bool:
         """Whether the pose at a time is known: from the first row to the last, but not in a gap."""

@@ -35,19 +35,20 @@ PlatePose = Literal["floor", "free"]
 
 @dataclass(frozen=True, slots=True)
 class LandmarkSet:
-    """Circular sector landmarks that share one radius, ring and symbol.
-
-    radius_m: of the whole disc. ring, symbol: (inner, outer) of the bright ring and of the bright
-    sectors, as fractions of the radius. ids: K distinct whole numbers. sectors: K rows of S zeros
-    and ones, counter-clockwise seen from above, beginning at the landmark's orientation.
-    """
+    """Circular sector landmarks that share one radius, ring and symbol."""
 
     name: str
     radius_m: float
+    """Of the whole disc."""
     ring: tuple[float, float]
     symbol: tuple[float, float]
+    """ring, symbol: (inner, outer) of the bright ring and of the bright sectors, as fractions of
+    the radius."""
     ids: tuple[int, ...]
+    """K distinct whole numbers."""
     sectors: tuple[tuple[int, ...], ...]
+    """K rows of S zeros and ones, counter-clockwise seen from above, beginning at the landmark's
+    orientation."""
 
     def codes(self, angles_rad: FloatArray) -> FloatArray:
         """(K, n) ideal brightness, 0 or 1, of every ID's symbol at n angles (rad).
@@ -105,14 +106,15 @@ class LandmarkSet:
 class DrawnSet(LandmarkSet):
     """Square plates, a drawing of rough (bright) and smooth (dark) cells on each.
 
-    radius_m: half of a plate's side. ring, symbol, sectors: of discs alone, empty here. cells: K
-    drawings, each n rows of n zeros and ones, top row first, as one reads them. mirrored: whether
-    the sonar shows drawings mirrored. pose: plates lie on the floor, or are held anyhow.
+    radius_m: half of a plate's side. ring, symbol, sectors: of discs alone, empty here.
     """
 
     cells: tuple[tuple[tuple[int, ...], ...], ...] = ()
+    """K drawings, each n rows of n zeros and ones, top row first, as one reads them."""
     mirrored: Hand = "either"
+    """Whether the sonar shows drawings mirrored."""
     pose: PlatePose = "free"
+    """Plates lie on the floor, or are held anyhow."""
 
     def drawings(self) -> list[BoolArray]:
         """K arrays, (n, n): `cells`."""
@@ -175,8 +177,7 @@ class _Drawing:
 
 @dataclass(frozen=True, slots=True)
 class _DrawnSetFile:
-    """A set of drawn plates as its file states it. family, ids: those of a built-in set. cells,
-    codes: words in hex, whose bits stand in the cells marked ?, for IDs from 0 on."""
+    """A set of drawn plates as its file states it."""
 
     name: str
     kind: str
@@ -184,8 +185,10 @@ class _DrawnSetFile:
     landmark: tuple[_Drawing, ...] = ()
     cells: tuple[str, ...] = ()
     codes: str = ""
+    """cells, codes: words in hex, whose bits stand in the cells marked ?, for IDs from 0 on."""
     family: str = ""
     ids: tuple[Integer, ...] | None = None
+    """family, ids: those of a built-in set."""
     mirrored: Hand = "either"
     pose: PlatePose = "free"
 

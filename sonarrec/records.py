@@ -60,32 +60,30 @@ In those of `_bgr` red and blue are exchanged."""
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """The times that a log states for one frame, in ns; None for those it does not state.
-
-    log: when it was recorded, which is the frames' order. publish: when it was sent.
-    header: the stamp inside the message.
-    """
+    """The times that a log states for one frame, in ns; None for those it does not state."""
 
     log: int | None = None
+    """When it was recorded, which is the frames' order."""
     publish: int | None = None
+    """When it was sent."""
     header: int | None = None
+    """The stamp inside the message."""
 
 
 NO_STAMPS = Stamps()
 
 
 class PolarImages(Protocol):
-    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan.
-
-    shape: (range bins, beams) of the images. bin_m: metres of slant range from one bin to the next,
-    on average. ranges_m: (range bins,) their slant ranges. beam_deg: degrees from one beam to the
-    next, on average.
-    """
+    """How a log's polar images (rows = range bins, nearest first; columns = beams) fill its fan."""
 
     shape: tuple[int, int]
+    """(range bins, beams) of the images."""
     bin_m: float
+    """Metres of slant range from one bin to the next, on average."""
     ranges_m: FloatArray
+    """(range bins,) their slant ranges."""
     beam_deg: float
+    """Degrees from one beam to the next, on average."""
 
     def __call__(self, polar: ByteImage) -> ByteImage:
         """(range bins, beams) uint8 to (fan.rows, fan.columns) uint8; 0 outside the fan."""
@@ -106,23 +104,22 @@ BeamOrder = Literal["range-major", "beam-major"]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One ping, with the fan in which it lies, as the stages take it.
-
-    index: 0-based position in the log (unusable frames keep their number).
-    timestamp_ns: time in ns; if the log carries none, from the index and the frame rate.
-    stretch: number of its stretch, from 0 (see stretches.py).
-    pixels: uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image
-    (range bins, beams). polar: how a polar image fills the fan.
-    stamps: all times that the log states for the frame.
-    """
+    """One ping, with the fan in which it lies, as the stages take it."""
 
     index: int
+    """0-based position in the log (unusable frames keep their number)."""
     timestamp_ns: int
+    """Time in ns; if the log carries none, from the index and the frame rate."""
     pixels: ByteImage
+    """uint8, log-compressed intensity: the fan image or, if there is `polar`, a polar image (range
+    bins, beams)."""
     fan: Fan
     stamps: Stamps = NO_STAMPS
+    """All times that the log states for the frame."""
     polar: PolarImages | None = None
+    """How a polar image fills the fan."""
     stretch: int = 0
+    """Number of its stretch, from 0 (see stretches.py)."""
 
     @property
     def image(self) -> ByteImage:
@@ -132,59 +129,59 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the sonar moved from one frame to the next.
-
-    pan_deg: by how much its heading changed, positive to the right. right_m, ahead_m: how far it
-    moved, in the directions that were right and ahead before. The sigmas: their standard errors; 0
-    if poses are given. known: False if the motion was not measured; then sigmas are wide.
-    """
+    """How the sonar moved from one frame to the next."""
 
     pan_deg: float
+    """By how much its heading changed, positive to the right."""
     right_m: float = 0.0
     ahead_m: float = 0.0
+    """right_m, ahead_m: how far it moved, in the directions that were right and ahead before."""
     pan_sigma_deg: float = 0.0
     right_sigma_m: float = 0.0
     ahead_sigma_m: float = 0.0
+    """The sigmas: standard errors of these; 0 if poses are given."""
     known: bool = True
+    """False if the motion was not measured; then sigmas are wide."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Stage 1: the candidates of one frame.
-
-    score_map: (rows, columns) float32, 0 to 1, over the working plane, with a value for each block
-    of step x step pixels. positions: (n, 2) float, (column, row) in plane pixels. scores: (n,),
-    best first. mean, sigma: float32, mean and standard deviation (above 0) of the grey levels in
-    each pixel's surroundings, on coarse grids; see CandidateSelector.levels.
-    """
+    """Stage 1: the candidates of one frame."""
 
     score_map: FloatImage
+    """(rows, columns) float32, 0 to 1, over the working plane, with a value for each block of step
+    x step pixels."""
     positions: FloatArray
+    """(n, 2) float, (column, row) in plane pixels."""
     scores: FloatArray
+    """(n,), best first."""
     mean: FloatImage
     sigma: FloatImage
+    """mean, sigma: float32, mean and standard deviation (above 0) of the grey levels in each
+    pixel's surroundings, on coarse grids; see CandidateSelector.levels."""
     step: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Stage 2: the particle groups (tracks) in view after one frame, by rising number.
-
-    numbers: (n,) int, stable over frames. positions: (n, 2) float, (column, row) in plane pixels.
-    spread: (n, 2) standard deviation per axis in disc diameters. existence: (n,) 0 to 1. sight_deg:
-    (n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object has
-    rotated over the floor since the track began; 0 if the sonar only pans. in_view: (n,) whether
-    enough of the disc is inside the fan (continuity.least_in_view); one that comes in shows less at
-    first. remembered: (m,) numbers of those that left the view and may return.
-    """
+    """Stage 2: the particle groups (tracks) in view after one frame, by rising number."""
 
     numbers: IntArray
+    """(n,) int, stable over frames."""
     positions: FloatArray
+    """(n, 2) float, (column, row) in plane pixels."""
     spread: FloatArray
+    """(n, 2) standard deviation per axis in disc diameters."""
     existence: FloatArray
+    """(n,) 0 to 1."""
     sight_deg: FloatArray
+    """(n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object
+    has rotated over the floor since the track began; 0 if the sonar only pans."""
     in_view: BoolArray
+    """(n,) whether enough of the disc is inside the fan (continuity.least_in_view); one that comes
+    in shows less at first."""
     remembered: IntArray
+    """(m,) numbers of those that left the view and may return."""
 
 
 def follows(method: str) -> bool:
@@ -194,42 +191,48 @@ def follows(method: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One method's estimate of one object in one frame: a row of estimates.csv.
-
-    x_px, y_px: centre in fan pixels. range_m: slant range. bearing_deg: positive to the right.
-    orientation_deg: where the first sector begins, counter-clockwise from the image's right,
-    seen from above; NaN where unknown. existence: probability that an object is there, 0 to 1.
-    probabilities: (K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1.
-    landmark: the most probable ID. score: 0 to 1, what a ROC threshold sweeps.
-    declared: the method claims the ID at its operating point. range_sigma_m, bearing_sigma_deg,
-    orientation_sigma_deg: standard errors, NaN if the method has none. sight_deg, in_view: as in
-    Groups. episode: as in Evidence. enough_evidence: as in Beliefs. These four are not written.
-    read: the symbol as stage 3 read it, a digit for each direction as columns.csv says, or "".
-    corners: of a drawn plate that was seen, (4, 2) slant range (m) and bearing (deg), clockwise in
-    the image from the far left on.
-    """
+    """One method's estimate of one object in one frame: a row of estimates.csv."""
 
     method: str
     object: int
     x_px: float
     y_px: float
+    """x_px, y_px: centre in fan pixels."""
     range_m: float
+    """Slant range."""
     bearing_deg: float
+    """Positive to the right."""
     orientation_deg: float
+    """Where the first sector begins, counter-clockwise from the image's right, seen from above; NaN
+    where unknown."""
     existence: float
+    """Probability that an object is there, 0 to 1."""
     probabilities: FloatArray
+    """(K + 1,) one per ID in the landmark set's order, then 'none of these'; sums to 1."""
     landmark: int
+    """The most probable ID."""
     score: float
+    """0 to 1, what a ROC threshold sweeps."""
     declared: bool
+    """The method claims the ID at its operating point."""
     range_sigma_m: float = math.nan
     bearing_sigma_deg: float = math.nan
     orientation_sigma_deg: float = math.nan
+    """range_sigma_m, bearing_sigma_deg, orientation_sigma_deg: standard errors, NaN if the method
+    has none."""
     sight_deg: float = 0.0
+    """As in Groups."""
     episode: int = 0
+    """As in Evidence."""
     in_view: bool = True
+    """As in Groups."""
     enough_evidence: bool = True
+    """As in Beliefs. This, sight_deg, episode and in_view are not written."""
     read: str = ""
+    """The symbol as stage 3 read it, a digit for each direction as columns.csv says; or empty."""
     corners: FloatArray | None = None
+    """Of a drawn plate that was seen, (4, 2) slant range (m) and bearing (deg), clockwise in the
+    image from the far left on."""
 
     @property
     def followed(self) -> bool:
@@ -239,11 +242,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """The results of one frame: a row of frames.csv and its rows of estimates.csv.
-
-    motion: of the sonar since the frame before; None for the first frame, and if not measured.
-    stretch: as in Frame.
-    """
+    """The results of one frame: a row of frames.csv and its rows of estimates.csv."""
 
     index: int
     timestamp_ns: int
@@ -251,7 +250,9 @@ class FrameResult:
     tracks: int
     estimates: tuple[Estimate, ...]
     motion: Motion | None = None
+    """Of the sonar since the frame before; None for the first frame, and if not measured."""
     stretch: int = 0
+    """As in Frame."""
 
 
 YEAR_2000_NS = 946_684_800 * 10**9

@@ -23,16 +23,23 @@ RangeOrder = Literal["near_first", "far_first"]
 class Geometry:
     """A complete geometry that does not contradict itself: `Sonar.complete` makes it."""
 
-    range_min_m: float  # the window's slant ranges
+    range_min_m: float
+    """The window's slant ranges."""
     range_max_m: float
-    bearing_min_deg: float  # the fan's edges: half a beam beyond the outermost beams' middles
+    bearing_min_deg: float
+    """The fan's edges: half a beam beyond the outermost beams' middles."""
     bearing_max_deg: float
     tilt_deg: float
-    height_m: float | None  # None: not known, see geometry.floor_depth
-    metres_per_pixel: float | None  # of a fan image; None: its rows are the window
-    apex_px: tuple[float, float] | None  # (column, row); None: midway, below the window
-    bearings_deg: tuple[float, ...] | None  # of a polar image's beams; None: evenly spaced
-    ranges_m: tuple[float, ...] | None  # of its bins' middles; None: evenly spaced
+    height_m: float | None
+    """None: not known, see geometry.floor_depth."""
+    metres_per_pixel: float | None
+    """Of a fan image; None: its rows are the window."""
+    apex_px: tuple[float, float] | None
+    """(column, row); None: midway, below the window."""
+    bearings_deg: tuple[float, ...] | None
+    """Of a polar image's beams; None: evenly spaced."""
+    ranges_m: tuple[float, ...] | None
+    """Of its bins' middles; None: evenly spaced."""
     flip: bool
 
 
@@ -41,24 +48,38 @@ class Sonar:
     """The sonar's geometry as a sonar.toml, flags or a run.toml state it; None: not stated."""
 
     layout: Literal["fan", "polar"] | None = None
-    range_min_m: Finite | None = None  # slant range
+    range_min_m: Finite | None = None
+    """Slant range."""
     range_max_m: Finite | None = None
     field_of_view_deg: Finite | None = None
-    tilt_deg: Finite | None = None  # downward
-    height_m: Finite | None = None  # above the floor
-    frame_rate_hz: Finite | None = None  # where frames carry no time
-    beam_width_deg: Finite | None = None  # two-way, between half-power points
-    metres_per_pixel: Finite | None = None  # of a fan image
-    apex_px: tuple[Finite, Finite] | None = None  # (column, row) of the fan's apex
-    bearings_deg: tuple[Finite, ...] | None = None  # one per beam, where not evenly spaced
-    ranges_m: tuple[Finite, ...] | None = None  # one per bin, at its middle, likewise
-    beam_order: BeamOrder | None = None  # of a polar image: a row per range bin, or per beam
-    range_order: RangeOrder | None = None  # of its rows, or of a beam's samples; None: near first
-    flip: bool | None = None  # left and right are exchanged
-    colour_map: ColourMap | None = None  # of pictures in false colour
-    pixel_scale: Literal["linear", "log", "db"] | None = None  # this and the next two:
-    full_scale: Finite | None = None  # how pixels become 8-bit grey,
-    dynamic_range_db: Finite | None = None  # see readers.decode.grey
+    tilt_deg: Finite | None = None
+    """Downward."""
+    height_m: Finite | None = None
+    """Above the floor."""
+    frame_rate_hz: Finite | None = None
+    """Where frames carry no time."""
+    beam_width_deg: Finite | None = None
+    """Two-way, between half-power points."""
+    metres_per_pixel: Finite | None = None
+    """Of a fan image."""
+    apex_px: tuple[Finite, Finite] | None = None
+    """(column, row) of the fan's apex."""
+    bearings_deg: tuple[Finite, ...] | None = None
+    """One per beam, where not evenly spaced."""
+    ranges_m: tuple[Finite, ...] | None = None
+    """One per bin, at its middle, where not evenly spaced."""
+    beam_order: BeamOrder | None = None
+    """Of a polar image: a row per range bin, or per beam."""
+    range_order: RangeOrder | None = None
+    """Of its rows, or of a beam's samples; None: near first."""
+    flip: bool | None = None
+    """Left and right are exchanged."""
+    colour_map: ColourMap | None = None
+    """Of pictures in false colour."""
+    pixel_scale: Literal["linear", "log", "db"] | None = None
+    """This and the next two: how pixels become 8-bit grey, see readers.decode.grey."""
+    full_scale: Finite | None = None
+    dynamic_range_db: Finite | None = None
 
     def updated(self, other: Sonar) -> Sonar:
         """This geometry, with the keys that `other` states replaced by its values."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import inspect
 import operator
 import re
@@ -26,6 +27,8 @@ NAMES = {
     *("Recogniser", "compare", "evaluate", "load_landmarks", "map_landmarks", "open_log"),
     *("overlay", "preset", "read_results", "report", "run", "simulate"),
 }
+
+WITH_EXAMPLES = ("evaluate", "open_log", "read_results", "run", "simulate")
 
 
 def test_import_alone_loads_nothing_heavy_nor_of_ours() -> None:
@@ -56,10 +59,23 @@ def test_docstrings_list_parameters_results_and_errors(name: str) -> None:
     sections = re.split(r"\n(\w+)\n-+\n", f"\n{inspect.getdoc(function)}")
     text = dict(zip(sections[1::2], sections[2::2], strict=True))
     result = {"Recogniser": set(), "Recogniser.recognise": {"Yields"}}.get(name, {"Returns"})
-    assert {*text} == {"Parameters", "Raises", *result}
+    examples = {"Examples"} if name in WITH_EXAMPLES else set()
+    assert {*text} == {"Parameters", "Raises", *result, *examples}
     listed = re.findall(r"^(\S.*?)(?: : .+)?$", text["Parameters"], re.MULTILINE)
     stated = [one.lstrip("*") for line in listed for one in line.split(", ")]
     assert stated == [one for one in inspect.signature(function).parameters if one != "self"]
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_examples_of_docstrings_give_what_they_show(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sample_data").symlink_to(SAMPLE.parent, target_is_directory=True)
+    monkeypatch.chdir(tmp_path)
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+    [example] = finder.find(getattr(sonarrec, name), name, globs={"sonarrec": sonarrec})
+    assert example.examples
+    assert not runner.run(example).failed
 
 
 @pytest.mark.slow

@@ -76,6 +76,14 @@ def evaluate(
         Files cannot be used, or have no frame in common.
     UsageError
         An option is invalid, or no truth is found.
+
+    Examples
+    --------
+    >>> scores = sonarrec.evaluate("sample_data/regression/pan", "sample_data/pan.gt.csv")
+    >>> scores.table.loc["framework", ["strict TPR", "strict FPR"]].round(2)
+    strict TPR    0.99
+    strict FPR    0.00
+    Name: framework, dtype: float64
     """
     scoring = scoring_options(
         method, min_visible, tolerance_s, landmarks, sonar, within_m, labelled_only

@@ -90,6 +90,14 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
         Input or settings cannot be used; what was written stays.
     UsageError
         An option is invalid.
+
+    Examples
+    --------
+    >>> done = sonarrec.run("sample_data/polar", "results", frames=(0, 60))
+    >>> done
+    <results/polar: 60 frames, 2 sightings>
+    >>> [(one.method, one.landmark) for one in done.sightings]
+    [('framework', 2), ('framework', 4)]
     """
     log_options = LogOptions(
         sonar=sonar_from(sonar),

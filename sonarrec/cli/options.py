@@ -373,7 +373,8 @@ class SettingsChoice:
     """The settings as given on the command line."""
 
     preset: str | None
-    config_file: Path | None  # of settings, or the run.toml of an earlier run
+    config_file: Path | None
+    """Of settings, or the run.toml of an earlier run."""
     assignments: tuple[str, ...]
 
     def configs(self) -> list[Config]:

@@ -30,15 +30,13 @@ SHEET_MARK = (
 
 
 class Distance(NamedTuple):
-    """How much two IDs differ, at the rotation (and hand) at which they differ least.
-
-    drawn: share of the symbol's area, or of the plate's, in which they differ. seen: the same of
-    what beams leave of it, the mean square of the difference.
-    """
+    """How much two IDs differ, at the rotation (and hand) at which they differ least."""
 
     ids: tuple[int, int]
     drawn: float
+    """Share of the symbol's area, or of the plate's, in which they differ."""
     seen: float
+    """The same of what beams leave of it, the mean square of the difference."""
 
 
 @lru_cache(maxsize=4)  # the logs of one run share it

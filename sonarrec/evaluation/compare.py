@@ -262,36 +262,28 @@ def _logs(
 def _rates(before: Counts, after: Counts, compared: Sequence[tuple[str, str]]) -> pd.DataFrame:
     """The rates of MAIN per ID and in total, with tests; then of each of several logs."""
     weights, tosses = draws(after.units.number)
-    by = ["protocol", "method", "log", "landmark", "rate"]
-    joined = _long(before).merge(_long(after), on=by, suffixes=("_old", ""))
-    joined = joined.rename(columns={"value_old": "old", "value": "new"}).drop(columns="of_old")
-    tables = []
+    rows: list[dict[str, Any]] = []
     for protocol, method in compared:
         # One ID at a time, since the curves of many logs are long.
         sides = zip(*(rates(side, method, protocol) for side in (before, after)), strict=True)
         tests = [d for a, b in sides for d in differences(a, b, weights, tosses)]
-        test = pd.DataFrame(tests).assign(method=method, log="").rename(columns={"figure": "rate"})
-        test = test.rename(columns={"value_a": "old", "value_b": "new"})
-        mine = joined[(joined.protocol == protocol) & (joined.method == method)]
-        cases = mine[[*by, "of"]]
+        in_all = {"method": method, "log": ""}
+        rows += [d._asdict() | in_all for d in tests if d.figure in MAIN]
+        for log in after.logs if len(after.logs) > 1 else ():
+            old, new = (side.count(method, protocol, log=log) for side in (before, after))
+            in_log = {"protocol": protocol, "method": method, "landmark": TOTAL, "log": log}
+            for name in RATES:
+                values = {"value_a": getattr(old, name), "value_b": getattr(new, name)}
+                rows.append(in_log | {"figure": name, **values, "units": 0, "note": ""})
+    for row in rows:
+        count = after.count(row["method"], row["protocol"], row["landmark"], row["log"])
         # An area is over as many cases as the TPR.
-        cases = pd.concat([cases, cases[cases.rate == "tpr"].assign(rate="auc")])
-        tables.append(test[test.rate.isin(MAIN)].merge(cases, on=by))
-        if len(after.logs) > 1:
-            each = mine[(mine.log != "") & (mine.landmark == TOTAL)]
-            tables.append(each.assign(units=0, note=""))
-    found = pd.concat(tables, ignore_index=True)
+        row["of"] = count.fp + count.tn if row["figure"] == "fpr" else count.tp + count.fn
+    found = pd.DataFrame(rows).rename(
+        columns={"figure": "rate", "value_a": "old", "value_b": "new"}
+    )
     up = found.new.fillna(0) - found.old.fillna(0)  # 0/0 counts as 0
     return found.assign(worse_by=up.where(found.rate == "fpr", -up))[COMPARE]
-
-
-def _long(counts: Counts) -> pd.DataFrame:
-    """A row for each rate of `confusion`: its value, and of how many cases."""
-    table = counts.confusion
-    cases = pd.DataFrame({"tpr": table.tp + table.fn, "fpr": table.fp + table.tn})
-    columns = {"value": table[RATES], "of": cases}
-    long = {name: of.rename_axis(columns="rate").stack() for name, of in columns.items()}
-    return pd.DataFrame(long).reset_index()
 
 
 class Row(NamedTuple):
@@ -448,16 +440,19 @@ def _changed_passes(found: Comparison) -> list[str]:
     method = found.methods[0][1]
     protocol = max(protocol for protocol, of in found.methods if of == method)
     old, new = (
-        side.passes[(side.passes.method == method) & (side.passes.protocol == protocol)]
-        for side in (found.before, found.after)
+        passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
+        for passes in (found.before.passes, found.after.passes)
     )
-    both = new.assign(old=old.right.to_numpy())
-    both = both.assign(change=(both.right - both.old).abs())
-    both = both.sort_values("change", ascending=False, kind="stable")[:MOST_PASSES]
+    change = np.abs(new["right"] - old["right"])
+    order = np.argsort(-change, kind="stable")[:MOST_PASSES]
+    most = new.with_columns(old=old["right"])[order[change[order] > 0]]
+    names = ("log", "first_frame", "last_frame", "landmark", "old", "right", "frames")
     return [
-        f"{p.log} frames {p.first_frame}-{p.last_frame}, ID.{p.landmark}: "
-        f"right in {p.old} -> {p.right} of {p.frames} ({method}, {protocol})"
-        for p in both[both.change > 0].itertuples()
+        f"{log} frames {first}-{last}, ID.{landmark}: "
+        f"right in {was} -> {now} of {frames} ({method}, {protocol})"
+        for log, first, last, landmark, was, now, frames in zip(
+            *(most[name] for name in names), strict=True
+        )
     ]
 
 

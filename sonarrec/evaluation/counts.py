@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.arrays import IntArray, Table, stacked
 from sonarrec.errors import SonarrecError
@@ -41,22 +41,11 @@ BINS = 10
 """Bins of the stated probability, in the calibration table."""
 TOTAL = "total"
 """Stands for all IDs: the micro average."""
-MOST_ROWS = 2_000_000
-"""If claims and errors have more rows, they are rounded in the sums by unit, so that memory stays
-small."""
-STEPS = {"position": 1e-5, "orientation": 0.01}
-"""Steps, in m and deg, to which errors are rounded down if there are more than MOST_ROWS rows."""
 MILLION = 10**DIGITS
 """Scores are counted in millionths: whole numbers are sorted faster."""
-SCORES = np.unique(np.rint([0, *MILLION / (1 + np.exp(-np.linspace(-14, 14, 1868))), MILLION]))
-"""In millionths. With more than MOST_ROWS rows, scores are rounded down to these. Rounding down
-cannot raise an FPR of a curve. They are dense near 0 and 1, where curves are steep."""
-BY = ["method", "protocol", "landmark"]
+LONG = ("claims", "position", "orientation")
+"""Tables with a row per claim: their integers have 32 bits."""
 _UNIT = ["method", "landmark", "unit"]
-_EXACT = {"claims": [*BY, "score"]} | {kind: ["method", "landmark", "value"] for kind in STEPS}
-"""Of each table that may be rounded, the columns by which its unrounded rows are added up."""
-_ADDED = {"claims": COUNTS} | {kind: ["n"] for kind in STEPS}
-"""The columns of these tables that are added up."""
 
 
 def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
@@ -185,234 +174,264 @@ class Units(NamedTuple):
     number: int
 
 
-class Counts:
-    """The sums over all logs, which have the same IDs: `add` each, then `finish`.
+class CountedLog(NamedTuple):
+    """A log whose rows are in the tables."""
 
-    rates_only: leave out errors, calibration and mistakes. `finish` sets these attributes:
+    name: str
+    methods: tuple[str, ...]
+    ids: tuple[int, ...]
+    placed: bool
+    """Whether protocol strict can be scored."""
+    units: int
+    passes: int
+    frames: int
+    first_frame: int
+    positives: int
+    """Truths that count under protocol strict."""
+    truths: int
+    gate_m: float
 
-    logs: names of the logs, each different.
-    names: the same as the logs have them.
-    frames_of: number of frames of each log.
-    ids: of the landmarks.
-    landmarks: these as text, then TOTAL.
-    methods: those that are scored.
-    protocols: those that are scored.
-    placed: whether protocol strict is scored.
-    frames: number of frames of all logs.
-    positives: number of truths that count under protocol strict.
-    ignored: number of those that do not.
-    gates: m, all distances within which claims of a log are right.
+
+class Count(NamedTuple):
+    """Counts and rates of one method under one protocol, for an ID or in total."""
+
+    tp: int
+    tn: int
+    fp: int
+    fn: int
+    positives: int
+    """Truths that count, which are the FN without any claim."""
+
+    @property
+    def total(self) -> int:
+        """All counts."""
+        return self.tp + self.tn + self.fp + self.fn
+
+    @property
+    def tpr(self) -> float:
+        """TP / (TP + FN); NaN for 0/0."""
+        return float(ratio(self.tp, self.tp + self.fn))
+
+    @property
+    def fpr(self) -> float:
+        """FP / (FP + TN); NaN for 0/0."""
+        return float(ratio(self.fp, self.fp + self.tn))
+
+    @property
+    def tpr_once(self) -> float:
+        """The TPR without further claims of an ID in a frame, which only protocol paper counts."""
+        return float(ratio(self.positives - self.fn, self.positives))
+
+
+class Tally:
+    """Adds up what logs of the same IDs add to the counts.
+
+    rates_only: leave out errors, calibration and mistakes.
     """
 
     def __init__(self, *, rates_only: bool = False) -> None:
         self._rates_only = rates_only
-        self._logs: list[dict[str, Any]] = []
-        self._names: list[str] = []  # of methods, which tables have by their index
+        self._logs: list[CountedLog] = []
+        self._methods: list[str] = []  # which tables have by their index
         self._tables: dict[str, list[Table]] = defaultdict(list)
-        # Sums of the logs added before the last rounding: `_exact` by score or error, without
-        # units; `_rounded` by unit, with rounded scores and errors.
-        self._exact: dict[str, list[Table]] = defaultdict(list)
-        self._rounded: dict[str, list[Table]] = defaultdict(list)
-        self._rows = 0
-        self._corners: dict[tuple[str, str, str], pd.DataFrame] = {}
-        self._last: tuple[tuple[str, str], Table] = ("", ""), Table(landmark=[])  # see `_steps`
+        self._first = {"unit": 0, "passage": 0}  # of the next log
 
     def add(self, log: Matched) -> None:
         """Add the counts of a log."""
-        self._names += [name for name in log.methods if name not in self._names]
-        index = np.array([*map(self._names.index, log.methods), -1], dtype=np.int16)
-        first = {name: sum(of[name] for of in self._logs) for name in ("unit", "passage")}
+        self._methods += [name for name in log.methods if name not in self._methods]
+        index = np.array([*map(self._methods.index, log.methods), -1], dtype=np.int16)
         for name, of in count_log(log, rates_only=self._rates_only).items():
-            columns = dict(of.columns)
-            if name == "mistakes":
-                columns["log"] = np.full(len(of), len(self._logs))
+            columns = of.columns | {"log": np.full(len(of), len(self._logs), dtype=np.int32)}
             if "method" in columns:
                 columns["method"] = index[of["method"]]
-            for column in first.keys() & columns.keys():
-                columns[column] = of[column] + first[column]
-            if name in ("claims", *STEPS):
-                self._rows += len(of)
+            for column in self._first.keys() & columns.keys():
+                columns[column] = of[column] + self._first[column]
+            if name in LONG:
+                del columns["log"]
                 small = [c for c, values in columns.items() if values.dtype == np.int64]
                 columns |= {c: columns[c].astype(np.int32) for c in small}
             self._tables[name].append(Table(**columns))
+        self._first["unit"] += log.units
+        self._first["passage"] += len(log.passes)
         self._logs.append(
-            {
-                "name": log.name,
-                "ids": log.ids,
-                "methods": log.methods,
-                "placed": log.placed,
-                "unit": log.units,
-                "passage": len(log.passes),
-                "frames": len(log.frame),
-                "first_frame": int(log.frame[0]) if len(log.frame) else 0,
-                "positives": int(log.truths["strict"].sum()),
-                "truths": len(log.truths),
-                "gates": {float(log.gate_m)} if len(log.truths) else set(),
-            }
+            CountedLog(
+                name=log.name,
+                methods=log.methods,
+                ids=log.ids,
+                placed=log.placed,
+                units=log.units,
+                passes=len(log.passes),
+                frames=len(log.frame),
+                first_frame=int(log.frame[0]) if len(log.frame) else 0,
+                positives=int(log.truths["strict"].sum()),
+                truths=len(log.truths),
+                gate_m=float(log.gate_m),
+            )
         )
-        if self._rows > MOST_ROWS:
-            self._round()
 
-    def _round(self) -> None:
-        """Round scores and errors in the sums by unit, so that memory does not grow with the logs.
-
-        The sums over all units are kept unrounded.
-        """
-        for name in ("claims", *STEPS):
-            if self._tables[name]:
-                of, by = stacked(self._tables[name]), _EXACT[name]
-                fresh = of.select([*by, *_ADDED[name]])
-                self._exact[name] = [stacked([*self._exact[name], fresh]).added_up(by)]
-                if name == "claims":
-                    rows = np.searchsorted(SCORES, of["score"], side="right") - 1
-                    of = of.with_columns(score=SCORES[rows])
-                else:
-                    of = of.with_columns(value=np.floor(of["value"] / STEPS[name]) * STEPS[name])
-                of = stacked([*self._rounded[name], of])
-                self._rounded[name] = [of.added_up(["unit", *by])]
-                self._tables[name] = []
-        self._rows = 0
-
-    def finish(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
-        """Set the attributes of the class, after the last log.
+    def counts(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
+        """The counts of all logs, after the last one.
 
         folders: one per log. Logs of one name are named by their folders. methods: those wanted;
         all if none is named. Raises SonarrecError if no log has a method to score, or
         if no log has a wanted one.
         """
-        for name, parts in self._tables.items():
-            self._tables[name] = [stacked(parts)] if parts else []
-        every = self._logs
-        many = Counter(log["name"] for log in every)
-        self.logs = tuple(
-            log["name"] if many[log["name"]] == 1 else str(folder)
-            for log, folder in zip(every, folders, strict=True)
-        )
-        self.names = tuple(log["name"] for log in every)
-        self.frames_of = [log["frames"] for log in every]
-        self.ids: tuple[int, ...] = every[0]["ids"]
-        self.landmarks = [*map(str, self.ids), TOTAL]
-        there = {method for log in every for method in log["methods"]}
-        self.methods = chosen(there, methods, ", ".join(self.logs))
-        if not self.methods:
-            raise SonarrecError(f"{', '.join(self.logs)}: estimates.csv names no method to score")
-        self.placed = all(log["placed"] for log in every)
-        self.protocols = PROTOCOLS if self.placed else PROTOCOLS[:1]
-        self.frames, self.positives, truths = (
-            sum(log[name] for log in every) for name in ("frames", "positives", "truths")
-        )
-        self.ignored = truths - self.positives
-        self.gates = tuple(sorted(set().union(*(log["gates"] for log in every))))
-        return self
+        many = Counter(log.name for log in self._logs)
+        names = [
+            log.name if many[log.name] == 1 else str(folder)
+            for log, folder in zip(self._logs, folders, strict=True)
+        ]
+        there = {method for log in self._logs for method in log.methods}
+        scored = chosen(there, methods, ", ".join(names))
+        if not scored:
+            raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
+        # The parts go as they are joined: there are millions of rows in many logs.
+        tables = {name: stacked(self._tables.pop(name)) for name in [*self._tables]}
+        return Counts(tuple(names), tuple(self._logs), scored, tuple(self._methods), tables)
+
+
+@dataclass(eq=False)
+class Counts:
+    """The sums over all logs, which have the same IDs."""
+
+    logs: tuple[str, ...]
+    """Their names, each different."""
+    counted: tuple[CountedLog, ...]
+    methods: tuple[str, ...]
+    """Those that are scored."""
+    found: tuple[str, ...]
+    """All methods of the logs, which the tables have by their index."""
+    tables: dict[str, Table]
+    """Those of `count_log`, with units and passes numbered over all logs; the short ones also with
+    `log`, the log's index."""
+    _corners: dict[tuple[str, str, str], Table] = field(default_factory=dict, init=False)
+    _last: tuple[tuple[str, str], Table] | None = field(default=None, init=False)
+    """Method and protocol, and what `_steps` returned for them."""
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Of the landmarks."""
+        return self.counted[0].ids
+
+    @property
+    def landmarks(self) -> list[str]:
+        """The IDs as text, then TOTAL."""
+        return [*map(str, self.ids), TOTAL]
+
+    @property
+    def placed(self) -> bool:
+        """Whether protocol strict is scored."""
+        return all(log.placed for log in self.counted)
+
+    @property
+    def protocols(self) -> tuple[str, ...]:
+        """Those that are scored."""
+        return PROTOCOLS if self.placed else PROTOCOLS[:1]
+
+    @property
+    def frames(self) -> int:
+        """Of all logs."""
+        return sum(log.frames for log in self.counted)
+
+    @property
+    def positives(self) -> int:
+        """Truths that count under protocol strict."""
+        return sum(log.positives for log in self.counted)
+
+    @property
+    def ignored(self) -> int:
+        """Truths that do not count under protocol strict."""
+        return sum(log.truths for log in self.counted) - self.positives
+
+    @property
+    def gates(self) -> tuple[float, ...]:
+        """All distances, m, within which claims are right, of logs with truth."""
+        return tuple(sorted({log.gate_m for log in self.counted if log.truths}))
 
     def lacking(self) -> list[tuple[str, list[str]]]:
         """Logs without estimates of some methods: the log's name, and these methods."""
-        lacks = ([m for m in self.methods if m not in log["methods"]] for log in self._logs)
+        lacks = ([m for m in self.methods if m not in log.methods] for log in self.counted)
         return [(name, methods) for name, methods in zip(self.logs, lacks, strict=True) if methods]
-
-    @cached_property
-    def _log_of(self) -> IntArray:
-        """(units,) the index of each unit's log, before units are merged."""
-        return np.repeat(np.arange(len(self.logs)), [log["unit"] for log in self._logs])
 
     @cached_property
     def units(self) -> Units:
         """The independent units: passes, or logs if there are LOGS_ENOUGH."""
         if len(self.logs) >= LOGS_ENOUGH:
             return Units("log", len(self.logs))
-        return Units("pass", min(len(self._log_of), MOST_UNITS))
+        return Units("pass", min(len(self._unit), MOST_UNITS))
 
-    def rows(self, name: str, method: str = "", protocol: str = "", exact: bool = False) -> Table:
-        """A table of all logs, or its rows of a method and a protocol, with units as of `units`.
+    @cached_property
+    def _unit(self) -> IntArray:
+        """(units of all logs,) the unit of `units` that each is part of."""
+        if len(self.logs) >= LOGS_ENOUGH:
+            return np.repeat(np.arange(len(self.logs)), [log.units for log in self.counted])
+        count = sum(log.units for log in self.counted)
+        return np.arange(count) * min(count, MOST_UNITS) // count
 
-        exact: without units, as it was before rows were rounded.
-        """
-        parts = [*(self._exact if exact else self._rounded)[name], *self._tables[name]]
-        if exact:
-            parts = [of.select([*_EXACT[name], *_ADDED[name]]) for of in parts]
+    def rows(self, name: str, method: str = "", protocol: str = "") -> Table:
+        """A table of all logs, or its rows of a method and a protocol, with units as of `units`."""
+        of = self.tables[name]
         if method:
-            parts = [of[of["method"] == self._names.index(method)] for of in parts]
+            of = of[of["method"] == self.found.index(method)]
         if protocol:
-            parts = [of[of["protocol"] == PROTOCOLS.index(protocol)] for of in parts]
-        of = stacked(parts)
-        if "unit" not in of.columns:
-            return of
-        log, count = self._log_of[of["unit"]], len(self._log_of)
-        unit = of["unit"] * MOST_UNITS // count if count > MOST_UNITS else of["unit"]
-        return of.with_columns(unit=log if self.units.kind == "log" else unit, log=log)
-
-    def table(self, name: str) -> pd.DataFrame:
-        """A table of all logs, with names in place of indices."""
-        of = self.rows(name)
-        names = {"method": self._names, "protocol": PROTOCOLS}
-        named = {c: np.take(names[c], of[c]) for c in names if c in of.columns}
-        return pd.DataFrame(of.columns).assign(**named)
+            of = of[of["protocol"] == PROTOCOLS.index(protocol)]
+        return of.with_columns(unit=self._unit[of["unit"]]) if "unit" in of.columns else of
 
     @cached_property
-    def base(self) -> pd.DataFrame:
-        """TP, TN, FP, FN without any claim."""
-        return self.table("base")
-
-    @cached_property
-    def points(self) -> pd.DataFrame:
-        """TP, TN, FP, FN at the operating point, by log, method, protocol, landmark and unit.
-
-        positives: the number of truths that count, which are the FN without any claim.
-        """
-        base = self.base.assign(positives=self.base.fn)
-        base = base.merge(pd.DataFrame({"method": self.methods}), how="cross")
-        found = pd.concat([base, self.table("declared").assign(positives=0)])
-        found = found.groupby(["log", *BY, "unit"], as_index=False).sum()
-        return found[found.method.isin(self.methods) & found.protocol.isin(self.protocols)]
-
-    @cached_property
-    def confusion(self) -> pd.DataFrame:
-        """Rates and counts by method, protocol, log ("": all) and landmark, with the total."""
-        found = self.points.astype({"landmark": str}).drop(columns="unit")
-        found["log"] = np.take(self.logs, found.log)
-        found = pd.concat([found, found.assign(log="")])
-        found = pd.concat([found, found.assign(landmark=TOTAL)])
-        order = [self.methods, self.protocols, ["", *self.logs], self.landmarks]
-        index = pd.MultiIndex.from_product(order, names=["method", "protocol", "log", "landmark"])
-        found = with_rates(found.groupby(index.names).sum().reindex(index))
-        found["total"] = found[COUNTS].sum(axis=1)
-        # Only protocol paper counts further claims of an ID in view in one frame.
-        found["tpr_once"] = ratio(found.positives - found.fn, found.positives)
+    def confusion(self) -> dict[tuple[str, str, str, str], Count]:
+        """Counts and rates by method, protocol, log ("": all) and landmark, with the total."""
+        found, names = {}, [*COUNTS, "positives"]
+        shape = (1 + len(self.logs), len(self.landmarks), len(names))
+        for method in self.methods:
+            for protocol in self.protocols:
+                sums = np.zeros(shape, dtype=int)
+                base = self.rows("base", protocol=protocol)
+                of = base.with_columns(positives=base["fn"])
+                for rows in (of, self.rows("declared", method, protocol)):
+                    k = np.array([self.ids.index(i) for i in rows["landmark"].tolist()], dtype=int)
+                    for n, name in enumerate(names):
+                        if name in rows.columns:
+                            np.add.at(sums[:, :, n], (1 + rows["log"], k), rows[name])
+                sums[0] = sums.sum(axis=0)
+                sums[:, -1] = sums.sum(axis=1)
+                for log, of_log in zip(("", *self.logs), sums.tolist(), strict=True):
+                    for landmark, counts in zip(self.landmarks, of_log, strict=True):
+                        found[method, protocol, log, landmark] = Count(*counts)
         return found
 
-    def count(self, method: str, protocol: str, landmark: str = TOTAL, log: str = "") -> Any:
-        """The row of `confusion`: count.tp and so on."""
-        row = self.confusion.loc[[(method, protocol, log, landmark)]]
-        return next(row.itertuples(index=False))
+    def count(self, method: str, protocol: str, landmark: str = TOTAL, log: str = "") -> Count:
+        """One of `confusion`."""
+        return self.confusion[method, protocol, log, landmark]
 
     def _steps(self, method: str, protocol: str) -> Table:
         """The sums of all claims by ID and score. Only the last result is kept."""
-        if self._last[0] != (method, protocol):
-            every = self.rows("claims", method, protocol, exact=True)
+        if self._last is None or self._last[0] != (method, protocol):
+            every = self.rows("claims", method, protocol)
             steps = every.select(["landmark", "score", *COUNTS]).added_up(["landmark", "score"])
             self._last = (method, protocol), steps
         return self._last[1]
 
-    def curve(self, method: str, protocol: str, landmark: str = TOTAL) -> pd.DataFrame:
+    def curve(self, method: str, protocol: str, landmark: str = TOTAL) -> Table:
         """The ROC: threshold, counts and rates, from infinity down. Equal scores are one point.
 
         At the last point every estimate is a claim; this need not be (1, 1), since a landmark
         without an estimate cannot be claimed.
         """
-        steps = self._steps(method, protocol)
+        steps = of_landmark(self._steps(method, protocol), landmark)
         if landmark == TOTAL:
             steps = steps.select(["score", *COUNTS]).added_up(["score"])
-        else:
-            steps = steps[steps["landmark"] == int(landmark)]
-        base = of_landmark(self.base, landmark)
-        first = base.loc[base.protocol == protocol, COUNTS].sum()
-        curve = {name: np.cumsum(np.append(steps[name], first[name])[::-1]) for name in COUNTS}
-        curve["threshold"] = np.append(steps["score"] / MILLION, np.inf)[::-1]
-        found = with_rates(pd.DataFrame(curve))
+        base = of_landmark(self.rows("base", protocol=protocol), landmark)
+        of = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
+        found = Table(
+            **of,
+            threshold=np.append(steps["score"] / MILLION, np.inf)[::-1],
+            tpr=ratio(of["tp"], of["tp"] + of["fn"]),
+            fpr=ratio(of["fp"], of["fp"] + of["tn"]),
+        )
         self._corners[method, protocol, landmark] = corners(found)
         return found
 
-    def corners(self, method: str, protocol: str, landmark: str = TOTAL) -> pd.DataFrame:
+    def corners(self, method: str, protocol: str, landmark: str = TOTAL) -> Table:
         """The corners of the ROC, see `corners`; kept, since they are few and often drawn."""
         if (method, protocol, landmark) not in self._corners:
             self.curve(method, protocol, landmark)
@@ -425,76 +444,72 @@ class Counts:
         The most frames and the highest scores come first.
         """
         protocol, found = self.protocols[-1], []
+        of_all = self.rows("mistakes", protocol=protocol)
         for method in self.methods:
-            lack = [n for n, log in enumerate(self._logs) if method not in log["methods"]]
-            of = self.rows("mistakes", protocol=protocol)
-            nobodys = (of["method"] < 0) & np.isin(of["log"], lack)
-            of = of[nobodys | (of["method"] == self._names.index(method))]
+            lack = [n for n, log in enumerate(self.counted) if method not in log.methods]
+            nobodys = (of_all["method"] < 0) & np.isin(of_all["log"], lack)
+            of = of_all[nobodys | (of_all["method"] == self.found.index(method))]
             for row in zip(*(column.tolist() for column in of.columns.values()), strict=True):
                 m = dict(zip(of.columns, row, strict=True))
-                at_start = m["first"] == m["last"] == self._logs[m["log"]]["first_frame"]
-                found.append(
-                    Mistake(
-                        log=self.logs[m["log"]],
-                        method=method,
-                        kind=KINDS[m["kind"]],
-                        landmark=self.ids[m["landmark"]],
-                        other=None if m["other"] < 0 else self.ids[m["other"]],
-                        first_frame=m["first"],
-                        last_frame=m["last"],
-                        frames=m["frames"],
-                        score=m["score"],
-                        times=m["times"],
-                        worst_frame=m["worst"],
-                        protocol=protocol,
-                        at_start=int(at_start and KINDS[m["kind"]] == MISSED and follows(method)),
-                    )
-                )
+                first, kind = self.counted[m["log"]].first_frame, KINDS[m["kind"]]
+                at_start = m["first_frame"] == m["last_frame"] == first and kind == MISSED
+                named = {
+                    "log": self.logs[m["log"]],
+                    "method": method,
+                    "kind": kind,
+                    "landmark": self.ids[m["landmark"]],
+                    "other": None if m["other"] < 0 else self.ids[m["other"]],
+                    "protocol": protocol,
+                }
+                found.append(Mistake(**m | named, at_start=int(at_start and follows(method))))
         return sorted(found, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 
     @cached_property
-    def passes(self) -> pd.DataFrame:
+    def passes(self) -> Table:
         """How each method did in each pass: frames (with the whole landmark in view), right (those
         in which it was claimed)."""
-        of = pd.MultiIndex.from_product([self.methods, self.protocols], names=BY[:2])
-        found = of.to_frame(index=False).merge(self.table("passes"), on="protocol")
-        right = self.table("right")[["method", "protocol", "passage", "right"]]
-        found = found.merge(right, how="left", on=["method", "protocol", "passage"])
-        return found.assign(
-            log=np.take(self.logs, found.log), right=found.right.fillna(0).astype(int)
-        )
+        parts = []
+        for method in self.methods:
+            for protocol in self.protocols:
+                passes = self.rows("passes", protocol=protocol)
+                claimed = self.rows("right", method, protocol)
+                right = np.zeros(sum(log.passes for log in self.counted), dtype=int)
+                right[claimed["passage"]] = claimed["right"]
+                parts.append(
+                    passes.with_columns(
+                        log=np.array(self.logs)[passes["log"]],
+                        method=method,
+                        protocol=protocol,
+                        right=right[passes["passage"]],
+                    )
+                )
+        return stacked(parts)
 
 
-def of_landmark(table: pd.DataFrame, landmark: str) -> pd.DataFrame:
+def of_landmark(table: Table, landmark: str) -> Table:
     """The rows of an ID, given as text, or of all."""
-    return table if landmark == TOTAL else table[table.landmark == int(landmark)]
+    return table if landmark == TOTAL else table[table["landmark"] == int(landmark)]
 
 
 def ratio(part: Any, total: Any) -> Any:
     """part / total; NaN if both are 0, infinite if only the total is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return part / total
+        return np.divide(part, total)
 
 
-def with_rates(of: pd.DataFrame) -> pd.DataFrame:
-    """Counts with TPR, TP / (TP + FN), and FPR, FP / (FP + TN)."""
-    tp, tn, fp, fn = (of[name].to_numpy() for name in COUNTS)
-    return of.assign(tpr=ratio(tp, tp + fn), fpr=ratio(fp, fp + tn))
-
-
-def corners(curve: pd.DataFrame, most: int = 2000) -> pd.DataFrame:
+def corners(curve: Table, most: int = 2000) -> Table:
     """The points needed to draw a curve: its corners and both ends.
 
     If these are more than `most`, each rate is divided into `most` / 2 equal steps. Of consecutive
     points in the same steps of both rates only the first is kept, and the last point of all.
     """
-    step = np.stack([np.diff(curve.tp - curve.fn), np.diff(curve.fp - curve.tn)]) != 0
+    step = np.stack([np.diff(curve["tp"] - curve["fn"]), np.diff(curve["fp"] - curve["tn"])]) != 0
     keep = np.ones(len(curve), dtype=bool)
     # Of three points on a horizontal or vertical line the middle one is not needed.
     keep[1:-1] = (step[:, 1:] != step[:, :-1]).any(axis=0) | step[:, 1:].all(axis=0)
     curve = curve[keep]
     if len(curve) > most:
-        rates = np.nan_to_num(curve[["tpr", "fpr"]].to_numpy().T)
+        rates = np.nan_to_num([curve["tpr"], curve["fpr"]])
         moved = (np.diff(np.floor(rates * (most // 2))) != 0).any(axis=0)
         moved[-1] = True
         curve = curve[np.append(True, moved)]

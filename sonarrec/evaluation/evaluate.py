@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.errors import Advice, Diagnostics, SonarrecError, number_of, printable
-from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.counts import Counts, Tally
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.pairs import Pair, find_truths, usable_pairs
 from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match
@@ -44,14 +44,12 @@ MOST_NAMED = 6
 
 
 class LogToScore(NamedTuple):
-    """The results of one log, or its old and its new ones, and its truth.
-
-    name: of the log, also for the log column of the truth.
-    """
+    """The results of one log, or its old and its new ones, and its truth."""
 
     results: tuple[Path, ...]
     ground_truth: Path
     name: str
+    """Of the log, also for the log column of the truth."""
 
 
 class LogTables(NamedTuple):
@@ -218,8 +216,8 @@ def score_logs(
     copies = Diagnostics()
     once = CountedOnce(action, copies)
     orders: Orders = {}
-    sides_of = defaultdict[tuple[int, ...], list[Counts]](
-        lambda: [Counts(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
+    tallies = defaultdict[tuple[int, ...], list[Tally]](
+        lambda: [Tally(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
     )
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
@@ -236,8 +234,8 @@ def score_logs(
                 lines.advise(advise(log, tables, options))
                 score.unused[:0] = lines.problems
                 score.notes += lines.notes
-            for counts, matched in zip(sides_of[score.ids], tables.matched, strict=False):
-                counts.add(matched)
+            for tally, matched in zip(tallies[score.ids], tables.matched, strict=False):
+                tally.add(matched)
         del tables  # before the next log is read
     if not read:
         raise unread[0][1]
@@ -257,7 +255,7 @@ def score_logs(
         raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
     ids = Counter(score.ids for score in scored).most_common(1)[0][0]
     others = [score for score in scored if score.ids != ids]
-    scored, sides = [score for score in scored if score.ids == ids], sides_of[ids]
+    scored = [score for score in scored if score.ids == ids]
     diagnostics.problem(*(line for score in scored for line in score.unused))
     diagnostics.problem(*_other_sets(others, ids, len(scored), action))
     diagnostics.problem(*(f"{error}; {name} is not {action}" for name, error in unread))
@@ -268,10 +266,9 @@ def score_logs(
     diagnostics.note(*outdated([folder for score in scored for folder in score.log.results]))
     diagnostics.note(*copies.notes)
     diagnostics.note(*(note for score in scored for note in score.notes))
-    for counts in sides:
-        counts.finish(
-            [score.log.results[-1] for score in scored], options.methods if not sides[1:] else ()
-        )
+    folders = [score.log.results[-1] for score in scored]
+    methods = options.methods if len(tallies[ids]) == 1 else ()
+    sides = [tally.counts(folders, methods) for tally in tallies[ids]]
     for score, name in zip(scored, sides[0].logs, strict=True):
         report_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
@@ -373,8 +370,9 @@ def _notes(counts: Counts) -> Iterator[str]:
             "in pixels and the geometry is not known (give --sonar FILE)"
         )
     yield from lacks(counts)
-    in_view = counts.base.groupby("landmark").fn.sum()
-    unseen = [f"ID.{landmark}" for landmark in counts.ids if not in_view[landmark]]
+    base = counts.rows("base")
+    in_view = {*base["landmark"][base["fn"] > 0].tolist()}
+    unseen = [f"ID.{landmark}" for landmark in counts.ids if landmark not in in_view]
     if unseen:
         yield f"never in view: {', '.join(unseen)}; a TPR of 0/0 says nothing"
 

@@ -7,14 +7,13 @@ many draws, (draws, ...), and gives (draws,) figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.arrays import FloatArray, Table, stacked
 from sonarrec.errors import number_of, printable
@@ -120,14 +119,16 @@ def ece(sums: FloatArray) -> FloatArray:
 
 
 class Metric(NamedTuple):
-    """One metric: a name on screen and in the report, how many digits, of which sums, and whether
-    it is printed without --details."""
+    """One metric."""
 
     label: str
+    """Its name on screen and in the report."""
     digits: int
     kind: str
+    """Of the sums that it is a function of, see Sample."""
     function: Callable[..., FloatArray]
     brief: bool = False
+    """Whether it is printed without --details."""
 
 
 _PAPER = f"{FPR_POINTS[1]:g}"
@@ -166,7 +167,7 @@ class Sample:
     per_unit: FloatArray
     """(U, ...) to be weighted and added up."""
     total: FloatArray
-    """(1, ...) of all units, exact where those by unit are coarser."""
+    """(1, ...) of all units; of curves and errors in each point."""
     values: tuple[FloatArray, ...] = ()
     """Of errors: the values at which the sums by unit count."""
     total_values: tuple[FloatArray, ...] = ()
@@ -220,21 +221,23 @@ def samples(counts: Counts) -> Iterator[Sample]:
 
 def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
     """Operating points and ROCs of one method under one protocol, per ID and in total."""
-    points, base, claims = counts.points, counts.base, counts.rows("claims", method, protocol)
-    points = points[(points.method == method) & (points.protocol == protocol)]
-    base = base[base.protocol == protocol]
+    base, declared, claims = (
+        counts.rows(name, of, protocol)
+        for name, of in (("base", ""), ("declared", method), ("claims", method))
+    )
     for landmark in counts.landmarks:
         roc = counts.curve(method, protocol, landmark)
-        exact = roc[COUNTS].to_numpy().T
+        exact = np.stack([roc[name] for name in COUNTS])
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
-        index = np.maximum(np.searchsorted(roc.fpr, FPR_GRID, side="right") - 1, 0)
+        index = np.maximum(np.searchsorted(roc["fpr"], FPR_GRID, side="right") - 1, 0)
         sums = np.zeros((counts.units.number, 4, 1 + len(FPR_GRID)))
-        for column, of_all in enumerate((points, base)):
-            of = of_landmark(of_all, landmark)
-            np.add.at(sums[:, :, column], of.unit.to_numpy(), of[COUNTS].to_numpy())
-        mine = claims if landmark == TOTAL else claims[claims["landmark"] == int(landmark)]
-        bins = np.searchsorted(-roc.threshold.to_numpy()[index], -mine["score"] / MILLION)
+        without = of_landmark(base, landmark)
+        for of, columns in ((without, 2), (of_landmark(declared, landmark), 1)):
+            added = np.stack([of[name] for name in COUNTS], axis=-1)
+            np.add.at(sums[:, :, :columns], of["unit"], added[:, :, None])
+        mine = of_landmark(claims, landmark)
+        bins = np.searchsorted(-roc["threshold"][index], -mine["score"] / MILLION)
         cell = mine["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
         for c, name in enumerate(COUNTS):
             added = np.bincount(cell, mine[name], len(sums) * len(FPR_GRID))
@@ -246,11 +249,8 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
 
 def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     """Errors of right claims: "position", m, or "orientation", deg."""
-    by_unit, exact = (
-        {method: counts.rows(kind, method, exact=is_exact) for method in counts.methods}
-        for is_exact in (False, True)
-    )
-    every = stacked([*exact.values()]).select(["value", "n"]).added_up(["value"])
+    errors_of = {method: counts.rows(kind, method) for method in counts.methods}
+    every = stacked([*errors_of.values()]).select(["value", "n"]).added_up(["value"])
     if not len(every):
         return
     # The values are quantiles of all errors, the same for every method; their ranks are those of
@@ -260,13 +260,10 @@ def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     values = np.unique(every["value"][np.searchsorted(reached, ranks, side="right")])
     for method in counts.methods:
         for landmark in counts.landmarks:
-            of, mine = (
-                rows if landmark == TOTAL else rows[rows["landmark"] == int(landmark)]
-                for rows in (by_unit[method], exact[method])
-            )
+            mine = of_landmark(errors_of[method], landmark)
             sums = np.zeros((counts.units.number, len(values)))
-            column = np.minimum(np.searchsorted(values, of["value"]), len(values) - 1)
-            np.add.at(sums, (of["unit"], column), of["n"])
+            column = np.minimum(np.searchsorted(values, mine["value"]), len(values) - 1)
+            np.add.at(sums, (mine["unit"], column), mine["n"])
             sums = np.cumsum(sums, axis=1).astype(np.float32)
             own = mine.select(["value", "n"]).added_up(["value"])
             own = own if len(own) else Table(value=values[:1], n=0)
@@ -287,15 +284,43 @@ def calibration(counts: Counts) -> Iterator[Sample]:
 
 # Figures with intervals, and differences with tests
 
-FIGURES = ["protocol", "method", "landmark", "figure", "value", "low", "high", "units", "note"]
-DIFFERENCES = [
-    *("protocol", "a", "b", "landmark", "figure", "value_a", "value_b"),
-    *("low", "high", "p", "units", "note"),
-]
+
+class Figure(NamedTuple):
+    """A row of figures.csv."""
+
+    protocol: str
+    method: str
+    landmark: str
+    figure: str
+    """The name of its metric."""
+    value: float
+    low: float
+    high: float
+    """low, high: its interval; NaN if there is none, and then `note` says why."""
+    units: int
+    """How many have a case."""
+    note: str
 
 
-def intervals(sample: Sample, weights: FloatArray) -> Iterator[dict[str, Any]]:
-    """The figures of a sample with their intervals, as rows of FIGURES."""
+class Difference(NamedTuple):
+    """A metric of two methods on the same units; the interval and the test are of b - a."""
+
+    protocol: str
+    a: str
+    b: str
+    landmark: str
+    figure: str
+    value_a: float
+    value_b: float
+    low: float
+    high: float
+    p: float
+    units: int
+    note: str
+
+
+def intervals(sample: Sample, weights: FloatArray) -> Iterator[Figure]:
+    """The figures of a sample with their intervals."""
     for name in sample.metrics():
         value, units = sample.value(name), sample.cases(name)
         low = high = np.nan
@@ -310,15 +335,14 @@ def intervals(sample: Sample, weights: FloatArray) -> Iterator[dict[str, Any]]:
             note = f"alike in all {units} units: no interval"
         else:
             low, high = interval(drawn, units)
-        of = {"protocol": sample.protocol, "method": sample.method, "landmark": sample.landmark}
-        limits = {"low": low, "high": high}
-        yield {**of, "figure": name, "value": value, **limits, "units": units, "note": note}
+        of = sample.protocol, sample.method, sample.landmark
+        yield Figure(*of, name, value, low, high, units, note)
 
 
 def differences(
     a: Sample, b: Sample, weights: FloatArray, tosses: FloatArray
-) -> Iterator[dict[str, Any]]:
-    """The differences b - a of two methods on the same units, as rows of DIFFERENCES."""
+) -> Iterator[Difference]:
+    """The differences b - a of two methods on the same units."""
     total_a, total_b = (of.per_unit.sum(axis=0) for of in (a, b))
     known = {name: min(a.cases(name), b.cases(name)) for name in a.metrics()}
     enough = max(known.values()) >= MIN_UNITS
@@ -340,54 +364,45 @@ def differences(
             note = "alike in every unit" if is_equal else ""
             if not is_equal:
                 low, high = interval(drawn[1] - drawn[0], units)
-        of = {"protocol": a.protocol, "a": a.method, "b": b.method, "landmark": a.landmark}
-        found = {"value_a": values[0], "value_b": values[1], "low": low, "high": high, "p": p}
-        yield {**of, "figure": name, **found, "units": units, "note": note}
+        of = a.protocol, a.method, b.method, a.landmark
+        yield Difference(*of, name, *values, low, high, p, units, note)
 
 
 class Summary(NamedTuple):
     """Figures with intervals, and differences between each two methods, in total."""
 
     units: Units
-    figures: pd.DataFrame
-    """FIGURES."""
-    differences: pd.DataFrame
-    """DIFFERENCES."""
+    figures: tuple[Figure, ...]
+    differences: tuple[Difference, ...]
     notes: tuple[str, ...]
 
-    def figure(self, protocol: str, method: str, name: str, landmark: str = TOTAL) -> Any:
-        """One row of figures; None if it was not measured."""
-        f = self.figures
-        wanted = (f.protocol == protocol) & (f.method == method) & (f.figure == name)
-        return next(f[wanted & (f.landmark == landmark)].itertuples(index=False), None)
+    def figure(self, protocol: str, method: str, name: str, landmark: str = TOTAL) -> Figure | None:
+        """One of the figures; None if it was not measured."""
+        wanted = (protocol, method, landmark, name)
+        return next((figure for figure in self.figures if figure[:4] == wanted), None)
 
 
 def summarise(counts: Counts) -> Summary:
     """Figures, intervals and tests of an evaluation."""
     units = counts.units
     weights, tosses = draws(units.number)
-    rows: list[Mapping[str, Any]] = []
+    figures: list[Figure] = []
     totals: dict[str, list[Sample]] = {}  # by kind and protocol
     for sample in samples(counts):
-        rows += intervals(sample, weights)
+        figures += intervals(sample, weights)
         if sample.landmark == TOTAL:
             totals.setdefault(f"{sample.kind} {sample.protocol}", []).append(sample)
     # What one without tracks, the baseline, has is subtracted.
-    tests: list[Mapping[str, Any]] = []
+    tests: list[Difference] = []
     for group in totals.values():
         for pair in combinations(group, 2):
             a, b = sorted(pair, key=lambda sample: follows(sample.method))
             tests += differences(a, b, weights, tosses)
-    figures = pd.DataFrame(rows, columns=FIGURES)
-    return Summary(
-        units,
-        figures,
-        pd.DataFrame(tests, columns=DIFFERENCES),
-        tuple(map(printable, few_units(counts, figures))),
-    )
+    notes = tuple(map(printable, few_units(counts, figures)))
+    return Summary(units, tuple(figures), tuple(tests), notes)
 
 
-def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[str]:
+def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
     """A note if the units are too few for intervals and tests: why they are, how much it takes.
 
     figures: so that one on those with cases in too few of the units can be given.
@@ -397,8 +412,7 @@ def few_units(counts: Counts, figures: pd.DataFrame | None = None) -> Iterator[s
         len(counts.logs),
         len(counts.rows("passes", protocol="paper")),
     )
-    cases = [] if figures is None else figures.units[figures.landmark == TOTAL].tolist()
-    few = [n for n in cases if 0 < n < MIN_UNITS]
+    few = [f.units for f in figures if f.landmark == TOTAL and 0 < f.units < MIN_UNITS]
     least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
         return

@@ -121,8 +121,7 @@ def _surest(log: Matched, judged: Table, missed: IntArray, beneath: IntArray | N
 
 
 def over_frames(log: Matched, wrong: Table) -> Table:
-    """What is wrong over neighbouring frames: protocol, method, kind, landmark, other, first, last,
-    frames, score, times and worst, as of Mistake.
+    """What is wrong over neighbouring frames, with the columns of Mistake but log and at_start.
 
     wrong: as of `find_wrong`, with the index of the protocol.
     """
@@ -145,12 +144,12 @@ def over_frames(log: Matched, wrong: Table) -> Table:
     return Table(
         **{name: wrong[name][start] for name in ("protocol", "method", "kind", "landmark")},
         other=usual,
-        first=log.frame[frame[start]],
-        last=log.frame[frame[end]],
+        first_frame=log.frame[frame[start]],
+        last_frame=log.frame[frame[end]],
         frames=np.bincount(episode[begins(group, frame)], minlength=len(start)),
         score=np.where(score[worst] < 0, np.nan, score[worst]),
         times=end + 1 - start,
-        worst=log.frame[frame[worst]],
+        worst_frame=log.frame[frame[worst]],
     )
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
+from sonarrec.arrays import Table
 from sonarrec.evaluation.counts import Counts, corners
 from sonarrec.tables.outputs import escape_mathtext, write_figure
 
@@ -22,15 +24,27 @@ MARKERS = ("s", "D")
 DPI = 120
 
 
+class Point(NamedTuple):
+    """A marked point of the chart."""
+
+    name: str
+    fpr: float
+    tpr: float
+    label: str
+
+
 @dataclass(frozen=True, slots=True)
 class Roc:
-    """One chart. lines: by method the corners of its ROC. points, published: operating points and,
-    if they are comparable, the paper's: name, fpr, tpr, label. fpr_end: of the axis."""
+    """One chart."""
 
-    lines: dict[str, pd.DataFrame]
-    points: pd.DataFrame
-    published: pd.DataFrame
+    lines: dict[str, Table]
+    """By method the corners of its ROC."""
+    points: tuple[Point, ...]
+    """The operating point of each."""
+    published: tuple[Point, ...]
+    """The paper's, if they are comparable."""
     fpr_end: float
+    """Of the axis."""
 
 
 def roc(counts: Counts, protocol: str, most: int = 2000) -> Roc:
@@ -43,17 +57,15 @@ def roc(counts: Counts, protocol: str, most: int = 2000) -> Roc:
     operating = [(m, counts.count(m, protocol)) for m in counts.methods]
     points = _points([(m, c.fpr, c.tpr) for m, c in operating], "{} at its operating point")
     published = _points(PUBLISHED if protocol == "paper" else [], "published {}")
-    worst = float(points.fpr.fillna(0).max())
+    worst = max((point.fpr for point in points if not math.isnan(point.fpr)), default=0.0)
     return Roc(lines, points, published, min(1.0, max(0.1, float(np.ceil(13 * worst) / 10))))
 
 
-def _points(rows: Any, label: str) -> pd.DataFrame:
-    found = pd.DataFrame(rows, columns=["name", "fpr", "tpr"])
-    found["label"] = [
-        f"{label.format(p.name)}: TPR {p.tpr:.4f}, FPR {p.fpr:.4f}"
-        for p in found.itertuples(index=False, name="Point")
-    ]
-    return found
+def _points(rows: Iterable[tuple[str, float, float]], label: str) -> tuple[Point, ...]:
+    return tuple(
+        Point(name, fpr, tpr, f"{label.format(name)}: TPR {tpr:.4f}, FPR {fpr:.4f}")
+        for name, fpr, tpr in rows
+    )
 
 
 def draw_roc(path: Path, counts: Counts) -> None:
@@ -66,14 +78,13 @@ def draw_roc(path: Path, counts: Counts) -> None:
     figure = Figure(figsize=(5.2 * len(charts), 5.6), dpi=DPI, layout="constrained")
     panels = figure.subplots(1, len(charts), sharey=True, squeeze=False)[0]
     for axes, (protocol, chart) in zip(panels, charts.items(), strict=True):
-        points = chart.points.itertuples(index=False)
-        for n, (line, point) in enumerate(zip(chart.lines.values(), points, strict=True)):
+        for n, (line, point) in enumerate(zip(chart.lines.values(), chart.points, strict=True)):
             colour, style = COLOURS[n % len(COLOURS)], STYLES[n % len(STYLES)]
-            axes.plot(line.fpr, line.tpr, style, color=colour, lw=1.8, zorder=3)
+            axes.plot(line["fpr"], line["tpr"], style, color=colour, lw=1.8, zorder=3)
             dot = {"ms": 9, "mec": "black", "zorder": 4, "clip_on": False}
             label = escape_mathtext(point.label)
             axes.plot(point.fpr, point.tpr, "o" + style, label=label, color=colour, **dot)
-        for point, marker in zip(chart.published.itertuples(), MARKERS, strict=False):
+        for point, marker in zip(chart.published, MARKERS, strict=False):
             ring = {"color": "none", "mec": "black", "ms": 13, "zorder": 5}
             axes.plot(point.fpr, point.tpr, marker, label=escape_mathtext(point.label), **ring)
         axes.set(
@@ -91,7 +102,7 @@ def draw_roc(path: Path, counts: Counts) -> None:
             frameon=False,
             markerscale=0.7,
             handlelength=3,
-            title="published: in the paper's own basin" if len(chart.published) else "",
+            title="published: in the paper's own basin" if chart.published else "",
             title_fontsize=8,
         )
     panels[0].set_ylabel("true positive rate (micro average)")

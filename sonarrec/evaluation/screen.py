@@ -120,7 +120,7 @@ def figures(
 def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]:
     """For each two methods their differences in the metrics of TESTED, with p or why not."""
     rows: dict[str, list[Cell]] = {}
-    for d in summary.differences.itertuples(index=False):
+    for d in summary.differences:
         if d.protocol == protocol and d.figure in TESTED:
             test = d.note if math.isnan(d.p) else f"p = {d.p:.2g}"
             cell = _cell(d.value_b - d.value_a, d.low, d.high, METRICS[d.figure].digits, "+")

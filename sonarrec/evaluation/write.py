@@ -10,9 +10,10 @@ from typing import Any
 
 import pandas as pd
 
+from sonarrec.arrays import stacked
 from sonarrec.errors import number_of
-from sonarrec.evaluation.counts import TOTAL, Counts
-from sonarrec.evaluation.figures import Summary
+from sonarrec.evaluation.counts import Counts
+from sonarrec.evaluation.figures import Difference, Figure, Summary
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
 from sonarrec.tables.outputs import (
@@ -61,42 +62,52 @@ class Evaluation:
     @property
     def confusion(self) -> pd.DataFrame:
         """Rates and counts, per ID and in total."""
-        return self.counts.confusion.xs("", level="log").reset_index()[HEADERS["confusion"]]
+        rows = [
+            (protocol, method, landmark, *(getattr(count, name) for name in COUNTED))
+            for (method, protocol, log, landmark), count in self.counts.confusion.items()
+            if not log
+        ]
+        return pd.DataFrame(rows, columns=HEADERS["confusion"])
 
     @property
     def roc(self) -> pd.DataFrame:
         """The corners of every curve, thresholds falling from inf."""
         curves = [
-            self.counts.corners(method, protocol, landmark).assign(
+            self.counts.corners(method, protocol, landmark).with_columns(
                 method=method, protocol=protocol, landmark=landmark
             )
             for method in self.counts.methods
             for protocol in self.counts.protocols
             for landmark in self.counts.landmarks
         ]
-        return pd.concat(curves, ignore_index=True)[HEADERS["roc"]]
+        return pd.DataFrame(stacked(curves).select(HEADERS["roc"]).columns)
 
     @property
     def figures(self) -> pd.DataFrame:
         """All figures with their 95 % intervals; of several logs also the rates of each."""
-        found = self.summary.figures.assign(log="")
+        found = pd.DataFrame(self.summary.figures, columns=Figure._fields).assign(log="")
         if len(self.counts.logs) > 1:
-            each = self.counts.confusion[["tpr", "fpr"]].drop("", level="log")
-            each = each.rename_axis(columns="figure").stack().reset_index(name="value")
-            blank = {"units": "", "note": ""}
-            found = pd.concat([found.astype({"units": object}), each.assign(**blank)])
+            each = [
+                (protocol, method, landmark, name, getattr(count, name), "", "", log)
+                for (method, protocol, log, landmark), count in self.counts.confusion.items()
+                for name in ("tpr", "fpr")
+                if log
+            ]
+            known = [*LABELS, "figure", "value", "units", "note", "log"]
+            of_logs = pd.DataFrame(each, columns=known)
+            found = pd.concat([found.astype({"units": object}), of_logs])
         return found[HEADERS["figures"]].reset_index(drop=True)
 
     @property
     def tests(self) -> pd.DataFrame:
         """The differences of each two methods, with intervals and p-values."""
-        found = self.summary.differences
+        found = pd.DataFrame(self.summary.differences, columns=Difference._fields)
         return found.assign(difference=found.value_b - found.value_a)
 
     @property
     def passes(self) -> pd.DataFrame:
         """How each method did in each pass of a landmark."""
-        return self.counts.passes[HEADERS["passes"]]
+        return pd.DataFrame(self.counts.passes.select(HEADERS["passes"]).columns)
 
     @property
     def mistakes(self) -> pd.DataFrame:
@@ -107,20 +118,15 @@ class Evaluation:
     @property
     def table(self) -> pd.DataFrame:
         """A row per method: TPR and FPR under each protocol over all IDs."""
-        found = self.confusion
-        total = found[found.landmark == TOTAL].set_index(["method", "protocol"])
-        methods = list(self.counts.methods)
-        return (
-            pd.DataFrame(
-                {
-                    f"{protocol} {rate.upper()}": total[rate].xs(protocol, level="protocol")
-                    for protocol in self.counts.protocols
-                    for rate in ("tpr", "fpr")
-                }
-            )
-            .reindex(methods)
-            .rename_axis("method")
-        )
+        methods = pd.Index(self.counts.methods, name="method")
+        columns = {
+            f"{protocol} {rate.upper()}": [
+                getattr(self.counts.count(method, protocol), rate) for method in methods
+            ]
+            for protocol in self.counts.protocols
+            for rate in ("tpr", "fpr")
+        }
+        return pd.DataFrame(columns, index=methods)
 
     def __repr__(self) -> str:
         logs, frames = len(self.folders), self.counts.frames
@@ -175,10 +181,9 @@ def json_text(evaluation: Evaluation) -> str:
     counts, summary = evaluation.counts, evaluation.summary
     methods: dict[str, Any] = {}
     per_log: dict[str, Any] = {log: {} for log in counts.logs}
-    for (method, protocol, log, landmark), row in zip(
-        counts.confusion.index, counts.confusion[COUNTED].to_dict("records"), strict=True
-    ):
+    for (method, protocol, log, landmark), count in counts.confusion.items():
         of = per_log[log] if log else methods
+        row = {name: getattr(count, name) for name in COUNTED}
         of.setdefault(method, {}).setdefault(protocol, {})[landmark] = row
     document = {
         "logs": list(counts.logs),
@@ -195,12 +200,16 @@ def json_text(evaluation: Evaluation) -> str:
         "units": summary.units.number,
         "methods": methods,
         "per_log": per_log,
-        "figures": summary.figures.rename(columns={"figure": "name"}).to_dict("records"),
-        "differences": summary.differences.rename(columns={"figure": "name"}).to_dict("records"),
+        "figures": [_named(figure) for figure in summary.figures],
+        "differences": [_named(difference) for difference in summary.differences],
         "notes": list(evaluation.notes),
         "unused": list(evaluation.unused),
     }
     return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+
+
+def _named(row: Figure | Difference) -> dict[str, Any]:
+    return {"name" if key == "figure" else key: cell for key, cell in row._asdict().items()}
 
 
 def _finite(value: Any) -> Any:

@@ -123,21 +123,23 @@ def _truth_of_log(path: str | Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class _Lesson:
-    """What one log teaches.
-
-    log: its name. samples: of its tracks. strange: (n,) which of them lie on a stranger. frames:
-    how many were read. rows: of truth for it. labelled: (positions at which truth has something to
-    be seen, landmarks: IDs, whose discs are taken for one), then those that a track lay on. misfit:
-    why its truth cannot be that of the log, so that nothing is learned; None if it can.
-    """
+    """What one log teaches."""
 
     log: str
+    """Its name."""
     samples: Samples
+    """Of its tracks."""
     strange: BoolArray
+    """(n,) which of them lie on a stranger."""
     frames: int
+    """How many were read."""
     rows: int
+    """Of truth for it."""
     labelled: IntArray
+    """(positions at which truth has something to be seen, landmarks: IDs, whose discs are taken for
+    one), then those that a track lay on."""
     misfit: str | None
+    """Why its truth cannot be that of the log, so that nothing is learned; None if it can."""
 
 
 def _lesson(

@@ -29,35 +29,34 @@ HIDDEN = -1
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """One recording's frames, and the picture of every track in every frame.
-
-    frame, timestamp_ns: (F,) of the frames. row: (n,) index into frame, rising. number: (n,) of the
-    track. position: (n, 2) metres in the fan plane, right and ahead of the sonar. pictures:
-    of the tracks.
-    """
+    """One recording's frames, and the picture of every track in every frame."""
 
     name: str
     landmarks: LandmarkSet
     fan: Fan | None
     frame: IntArray
     timestamp_ns: IntArray
+    """frame, timestamp_ns: (F,) of the frames."""
     row: IntArray
+    """(n,) index into frame, rising."""
     number: IntArray
+    """(n,) of the track."""
     position: FloatArray
+    """(n, 2) metres in the fan plane, right and ahead of the sonar."""
     pictures: Pictures
+    """Of the tracks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Pictures of tracks, with what these truly are.
-
-    label: (n,) index of the ID in the set, K for 'none of these', HIDDEN where nothing can be
-    learned. track: (n,) number of the track.
-    """
+    """Pictures of tracks, with what these truly are."""
 
     pictures: Pictures
     label: IntArray
+    """(n,) index of the ID in the set, K for 'none of these', HIDDEN where nothing can be
+    learned."""
     track: IntArray
+    """(n,) number of the track."""
 
 
 class _Recorder:

@@ -44,20 +44,22 @@ from sonarrec.sonar import Sonar
 class SiteMap:
     """The positions of the landmarks of a site, in the axes of the poses or of a first frame.
 
-    x is to the right and y ahead of a sonar whose yaw is 0. left_out: number of landmarks with too
-    few frames. logs: those that could be used, each recording once; a paused one without poses has
-    a part for each path. count: of logs, not of parts. ros_axes: whether the poses' own axes, in
-    which the files are written, are x ahead and y to the left, and yaw counter-clockwise; else they
-    are the map's.
+    x is to the right and y ahead of a sonar whose yaw is 0.
     """
 
     landmark_set: LandmarkSet
     landmarks: list[Landmark]
     left_out: int
+    """Number of landmarks with too few frames."""
     logs: list[MappedLog]
+    """Those that could be used, each recording once; a paused one without poses has a part for each
+    path."""
     count: int
+    """Of logs, not of parts."""
     diagnostics: Diagnostics
     ros_axes: bool
+    """Whether the poses' own axes, in which the files are written, are x ahead and y to the left,
+    and yaw counter-clockwise; else they are the map's."""
 
     @property
     def parts(self) -> list[list[MappedLog]]:

@@ -59,46 +59,50 @@ CHI2_95 = 5.991  # squared Mahalanobis distance that 95 % of positions in a plan
 
 @dataclass(frozen=True, slots=True)
 class DeclaredEstimates:
-    """The declared estimates of one method in one log, n of them.
-
-    row: (n,) index of the frame in the path. landmark: (n,) IDs. track: (n,) 0 or more. score:
-    (n,). polar: (n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv; NaN if
-    not known). sigma: (n, 3) their standard errors. rows: number of declared estimates, with
-    those on frames that frames.csv does not list.
-    """
+    """The declared estimates of one method in one log, n of them."""
 
     row: IntArray
+    """(n,) index of the frame in the path."""
     landmark: IntArray
+    """(n,) IDs."""
     track: IntArray
+    """(n,) 0 or more."""
     score: FloatArray
+    """(n,)."""
     polar: FloatArray
+    """(n, 3) slant range (m), bearing and orientation (deg, as in estimates.csv; NaN if not
+    known)."""
     sigma: FloatArray
+    """(n, 3) their standard errors."""
     rows: int
+    """Number of declared estimates, with those on frames that frames.csv does not list."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pass:
-    """One pass of m estimates, placed on the floor.
-
-    path: of its log. score: the mean. row: (m,) frames as indices of the path, rising. position:
-    (2,) x, y in the path's axes, m. covariance: (2, 2) of the position, without the path's error,
-    m^2. lean: (2,) derivative of the position by the sonar's height. orientation_deg: where the
-    first sector begins, counter-clockwise from the x axis; NaN if not known. orientation_sigma_deg:
-    its standard error. near_m, far_m: least and largest ground range.
-    """
+    """One pass of m estimates, placed on the floor."""
 
     path: SonarPath
+    """Of its log."""
     landmark: int
     track: int
     score: float
+    """The mean."""
     row: IntArray
+    """(m,) frames as indices of the path, rising."""
     position: FloatArray
+    """(2,) x, y in the path's axes, m."""
     covariance: FloatArray
+    """(2, 2) of the position, without the path's error, m^2."""
     lean: FloatArray
+    """(2,) derivative of the position by the sonar's height."""
     orientation_deg: float
+    """Where the first sector begins, counter-clockwise from the x axis; NaN if not known."""
     orientation_sigma_deg: float
+    """Its standard error."""
     near_m: float
     far_m: float
+    """near_m, far_m: least and largest ground range."""
 
     @property
     def middle(self) -> int:
@@ -250,34 +254,35 @@ def _mean_orientation(
 
 @dataclass(frozen=True, slots=True)
 class MappedLog:
-    """One log of a map, or the part on one path. name: of its results folder. ros_axes: whether its
-    poses have x ahead and y to the left."""
+    """One log of a map, or the part on one path."""
 
     name: str
+    """Of its results folder."""
     path: SonarPath
     passes: list[Pass]
     fan: Fan
     ros_axes: bool
+    """Whether its poses have x ahead and y to the left."""
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
 
 
 @dataclass(frozen=True, slots=True)
 class Landmark:
-    """One landmark of the map.
-
-    position: (2,) x, y in m. covariance: (2, 2) m^2. orientation_deg: where its first sector
-    begins, counter-clockwise from the x axis; NaN if not known. orientation_sigma_deg: its standard
-    error. members: the passes that give its position. others: passes at this position that claim
-    another ID.
-    """
+    """One landmark of the map."""
 
     id: int
     position: FloatArray
+    """(2,) x, y in m."""
     covariance: FloatArray
+    """(2, 2) m^2."""
     orientation_deg: float
+    """Where its first sector begins, counter-clockwise from the x axis; NaN if not known."""
     orientation_sigma_deg: float
+    """Its standard error."""
     members: list[Pass]
+    """The passes that give its position."""
     others: list[Pass]
+    """Passes at this position that claim another ID."""
 
     @property
     def sigma_m(self) -> float:

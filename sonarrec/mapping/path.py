@@ -34,13 +34,12 @@ rotation to the right, shift to the right, shift ahead, in the axes of the previ
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Standard error of given poses after one minute; it grows with the square root of the time.
-
-    position_m: of the position, along each axis. yaw_deg: of the heading.
-    """
+    """Standard error of given poses after one minute; it grows with the square root of the time."""
 
     position_m: float = 0.0
+    """Of the position, along each axis."""
     yaw_deg: float = 0.0
+    """Of the heading."""
 
 
 NO_DRIFT = Drift()
@@ -48,26 +47,27 @@ NO_DRIFT = Drift()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SonarPath:
-    """Where the sonar was in every frame of one log, or of a part of it.
-
-    frame: (F,) numbers, rising. timestamp_ns, stretch: (F,) as in Frame. pose: (F, 3) yaw (deg,
-    positive to the right), x and y (m; to the right and ahead of a sonar whose yaw is 0); NaN if
-    not known. from_poses: whether the path comes from a table or topic of poses; else it was
-    measured, from the first frame on. sums: (F, 9) over the steps up to each frame, see `_sums`.
-    common: (F, 3) sums over the rotations of a measured path while the sonar stood: of the rotation
-    (rad), and of the rotation times x and times y. origin: (2,) the first known position. In the
-    sums, x and y are relative to it, since squares of large coordinates, such as UTM's, would leave
-    few digits.
-    """
+    """Where the sonar was in every frame of one log, or of a part of it."""
 
     frame: IntArray
+    """(F,) numbers, rising."""
     timestamp_ns: IntArray
     stretch: IntArray
+    """timestamp_ns, stretch: (F,) as in Frame."""
     pose: FloatArray
+    """(F, 3) yaw (deg, positive to the right), x and y (m; to the right and ahead of a sonar whose
+    yaw is 0); NaN if not known."""
     from_poses: bool
+    """Whether the path comes from a table or topic of poses; else it was measured, from the first
+    frame on."""
     sums: FloatArray
+    """(F, 9) over the steps up to each frame, see `_sums`."""
     common: FloatArray
+    """(F, 3) sums over the rotations of a measured path while the sonar stood: of the rotation
+    (rad), and of the rotation times x and times y."""
     origin: FloatArray
+    """(2,) the first known position. In the sums, x and y are relative to it, since squares of
+    large coordinates, such as UTM's, would leave few digits."""
 
     @property
     def known(self) -> IntArray:

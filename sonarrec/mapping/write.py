@@ -50,14 +50,12 @@ MOST_POINTS = 2_000  # points of a path in GeoJSON, at most
 
 @dataclass(frozen=True, slots=True)
 class GeographicOrigin:
-    """Where the origin of the poses lies on Earth (WGS 84, deg).
-
-    heading_deg: the compass heading of a sonar whose yaw is 0.
-    """
+    """Where the origin of the poses lies on Earth (WGS 84, deg)."""
 
     latitude_deg: float
     longitude_deg: float
     heading_deg: float
+    """The compass heading of a sonar whose yaw is 0."""
 
     def on_earth(self, position: FloatArray) -> FloatArray:
         """(n, 2) longitude and latitude, deg (the order of GeoJSON), of positions on the floor.

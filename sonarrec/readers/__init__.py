@@ -53,6 +53,15 @@ def open_log(
         The log or its geometry cannot be used.
     UsageError
         The topic or time is invalid.
+
+    Examples
+    --------
+    >>> with sonarrec.open_log("sample_data/polar") as log:
+    ...     frame = next(iter(log))
+    >>> frame.pixels.shape, frame.pixels.dtype  # range bins x beams
+    ((256, 96), dtype('uint8'))
+    >>> frame.fan.range_min_m, frame.fan.range_max_m
+    (1.4, 2.65)
     """
     if isinstance(path, Source):
         source, path = path, path.path

@@ -26,87 +26,95 @@ MOST_TOPICS = 8
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of an MCAP file or a bag. schema, schema_encoding, message_encoding: as in the
-    file; schema is empty if there is none. images: whether its messages are read as sonar
-    images."""
+    """One channel of an MCAP file or a bag."""
 
     topic: str
     schema: str
     schema_encoding: str
     message_encoding: str
+    """schema, schema_encoding, message_encoding: as in the file; schema is empty if there is
+    none."""
     messages: int
     images: bool
+    """Whether its messages are read as sonar images."""
 
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What an MCAP file or a bag says about itself. footer: whether it was closed: an MCAP has its
-    footer, and a bag all its parts. chunks: number of chunks by compression. start_ns, end_ns:
-    first and last log time of all channels; None without messages."""
+    """What an MCAP file or a bag says about itself."""
 
     profile: str
     library: str
     footer: bool
+    """Whether it was closed: an MCAP has its footer, and a bag all its parts."""
     chunks: dict[str, int]
+    """Number of chunks by compression."""
     start_ns: int | None
     end_ns: int | None
+    """start_ns, end_ns: first and last log time of all channels; None without messages."""
     channels: list[Channel]
 
 
 @dataclass(slots=True)
 class Images:
-    """One sequence of sonar images: those of a channel, or all in a folder or video.
-
-    topic: None outside of MCAP and bags. frames: number of frames; None if the container does not
-    say. usable: how many `sonarrec run` can use once the geometry is complete; None if they were
-    not read. rows, columns, pixels: the commonest stored size, and the type ("uint8", "3 x uint8").
-    start_ns, end_ns: time of the first and last frame. rate_hz: frames per second, as the median
-    step from frame to frame has it. These three are None if frames carry no time.
-    layout: "fan" or "polar". polar_messages: whether messages state their own geometry. header:
-    other values in the headers of a sonar's own file, by name and unit; else empty. geometry: its
-    keys, as stated or from the first ping. origins: where each of these keys, and the layout, comes
-    from: "flag", "message", "header", "default" or the name of a file; a beam_order that nobody
-    stated is "found" or "assumed". assumed: values used for keys that nobody states, if the
-    geometry is complete. lacks: the missing keys. notes: contradictions and what is uncertain.
-    problems: one line for each frame that cannot be used (at most 20, then a count).
-    """
+    """One sequence of sonar images: those of a channel, or all in a folder or video."""
 
     topic: str | None
+    """None outside of MCAP and bags."""
     frames: int | None = 0
+    """Number of frames; None if the container does not say."""
     usable: int | None = 0
+    """How many `sonarrec run` can use once the geometry is complete; None if they were not read."""
     rows: int | None = None
     columns: int | None = None
     pixels: str | None = None
+    """rows, columns, pixels: the commonest stored size, and the type ("uint8", "3 x uint8")."""
     start_ns: int | None = None
     end_ns: int | None = None
+    """start_ns, end_ns: time of the first and last frame."""
     rate_hz: float | None = None
+    """Frames per second, as the median step from frame to frame has it. These three are None if
+    frames carry no time."""
     layout: str = "polar"
+    """Either "fan" or "polar"."""
     polar_messages: bool = False
+    """Whether messages state their own geometry."""
     header: dict[str, str | float | None] = field(default_factory=dict)
+    """Other values in the headers of a sonar's own file, by name and unit; else empty."""
     geometry: dict[str, Any] = field(default_factory=dict)
+    """Its keys, as stated or from the first ping."""
     geometry_from: str | None = None
     origins: dict[str, str] = field(default_factory=dict)
+    """Where each of these keys, and the layout, comes from: "flag", "message", "header", "default"
+    or the name of a file; a beam_order that nobody stated is "found" or "assumed"."""
     assumed: dict[str, Any] = field(default_factory=dict)
+    """Values used for keys that nobody states, if the geometry is complete."""
     lacks: list[str] = field(default_factory=list)
+    """The missing keys."""
     notes: list[str] = field(default_factory=list)
+    """Contradictions and what is uncertain."""
     problems: list[str] = field(default_factory=list)
+    """One line for each frame that cannot be used (at most 20, then a count)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """What is in one log. kind: "images", or as in `READERS`, such as "MCAP". size_bytes: of all
-    files. container: None outside of MCAP and bags. images: each sequence of sonar images; empty if
-    nothing can be read. checked: whether every frame was read and every checksum compared. faults:
-    lines about what is wrong with the file as a whole."""
+    """What is in one log."""
 
     path: str
     kind: str
+    """Either "images", or as in `READERS`, such as "MCAP"."""
     files: int
     size_bytes: int
+    """Of all files."""
     checked: bool
+    """Whether every frame was read and every checksum compared."""
     container: Container | None
+    """None outside of MCAP and bags."""
     images: list[Images]
+    """Each sequence of sonar images; empty if nothing can be read."""
     faults: list[str]
+    """Lines about what is wrong with the file as a whole."""
 
     @property
     def has_no_frame(self) -> bool:

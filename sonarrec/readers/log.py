@@ -252,9 +252,10 @@ class Log:
 
 
 class Digest(NamedTuple):
-    """What identifies the files of a log, as run.toml has it. bytes: their size, all together."""
+    """What identifies the files of a log, as run.toml has it."""
 
     bytes: int
+    """Their size, all together."""
     sha256: str
 
 

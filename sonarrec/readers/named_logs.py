@@ -21,11 +21,12 @@ RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
 
 @dataclass(frozen=True, slots=True)
 class NamedLog:
-    """One log of a command. up_to: the folder that the user named and that holds the log: the
-    highest folder searched for files that belong to it. None if the user named the log itself."""
+    """One log of a command."""
 
     path: str
     up_to: Path | None = None
+    """The folder that the user named and that holds the log: the highest folder searched for files
+    that belong to it. None if the user named the log itself."""
 
 
 def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:

@@ -56,15 +56,17 @@ def _file(kind: Callable[[Path, Diagnostics], RawLog]) -> Open:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """One kind of log: how its names end, and what opens it. Either open or recording is given.
-    open: takes the list of files. recording: for messages on channels; takes the log's path. Both
-    also take the Diagnostics that receive faults. is_zip: whether such a file may be a ZIP."""
+    """One kind of log: how its names end, and what opens it. Either open or recording is given."""
 
     kind: str
     suffixes: frozenset[str]
     open: Open | None = None
+    """Takes the list of files."""
     recording: Callable[[Path, Diagnostics], Recording] | None = None
+    """For messages on channels; takes the log's path. Both also take the Diagnostics that receive
+    faults."""
     is_zip: bool = False
+    """Whether such a file may be a ZIP."""
 
     @property
     def has_topics(self) -> bool:
@@ -109,16 +111,19 @@ _COMPANIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A log that was found but not opened yet. name: of its results folder. files: all its files,
-    in order. diagnostics: faults and notes about the log. up_to: the highest folder searched for
-    files that belong to the log; None: only the folder in which it lies."""
+    """A log that was found but not opened yet."""
 
     path: Path
     name: str
+    """Of its results folder."""
     files: Sequence[Path]
+    """All its files, in order."""
     reader: Reader
     diagnostics: Diagnostics
+    """Faults and notes about the log."""
     up_to: Path | None = None
+    """The highest folder searched for files that belong to the log; None: only the folder in which
+    it lies."""
 
     @property
     def location(self) -> Path:

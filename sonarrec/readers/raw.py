@@ -29,35 +29,41 @@ class UnusableError(Exception):
 class PingGeometry:
     """The geometry that a polar ping states: everything except tilt and height."""
 
-    range_min_m: float  # the window's slant ranges
+    range_min_m: float
+    """The window's slant ranges."""
     range_max_m: float
-    bearings_deg: tuple[float, ...]  # of the beams' middles
-    ranges_m: tuple[float, ...] | None  # of the bins' middles; None: evenly spaced
-    beam_order: BeamOrder | None = None  # None: to be found from the samples
-    beam_width_deg: float | None = None  # between half-power points; None: not stated
-    pitch_deg: float = 0.0  # of the beams' plane in the axes of the message
+    bearings_deg: tuple[float, ...]
+    """Of the beams' middles."""
+    ranges_m: tuple[float, ...] | None
+    """Of the bins' middles; None: evenly spaced."""
+    beam_order: BeamOrder | None = None
+    """None: to be found from the samples."""
+    beam_width_deg: float | None = None
+    """Between half-power points; None: not stated."""
+    pitch_deg: float = 0.0
+    """Of the beams' plane in the axes of the message."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredFrame:
-    """A frame as its log holds it.
-
-    name: in messages. time_ns: None if the log keeps no time. pixels: (rows, columns) or (rows,
-    columns, channels; BGR first), any dtype, which decides the usual pixel_scale (`sonarrec help
-    geometry`); of a polar ping (bins, beams), also where its `beam_order` says that the samples
-    came beam by beam; None if they could not be read. problem: why; None if the frame was passed
-    over, or lost together with others, which the log's faults report. ping: the geometry that a
-    polar ping states. white: the pixel value that its file calls white; None: the largest of the
-    type.
-    """
+    """A frame as its log holds it."""
 
     name: str = ""
+    """In messages."""
     time_ns: int | None = None
+    """None if the log keeps no time."""
     pixels: np.ndarray | None = None
+    """(rows, columns) or (rows, columns, channels; BGR first), any dtype, which decides the usual
+    pixel_scale (`sonarrec help geometry`); of a polar ping (bins, beams), also where its
+    `beam_order` says that the samples came beam by beam; None if they could not be read."""
     problem: str | None = None
+    """Why; None if the frame was passed over, or lost together with others, which the log's faults
+    report."""
     stamps: Stamps = NO_STAMPS
     ping: PingGeometry | None = None
+    """The geometry that a polar ping states."""
     white: int | None = None
+    """The pixel value that its file calls white; None: the largest of the type."""
 
     @property
     def has_content(self) -> bool:
@@ -72,10 +78,11 @@ class StoredFrame:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What is in one message. stamp_ns: the header's stamp; None if there is none."""
+    """What is in one message."""
 
     pixels: np.ndarray
     stamp_ns: int | None = None
+    """The header's stamp; None if there is none."""
     ping: PingGeometry | None = None
 
 
@@ -99,14 +106,14 @@ def frame_of(
 
 @dataclass(frozen=True, slots=True)
 class HeaderInfo:
-    """What the headers of a sonar's own file say about the log as a whole. sonar: the part of the
-    geometry that pings do not state (tilt, frame rate). values: other values worth knowing, by name
-    and unit; None if the sonar did not measure it. sample_db: decibels from one sample value to the
-    next, if samples are decibels."""
+    """What the headers of a sonar's own file say about the log as a whole."""
 
     sonar: Sonar = field(default_factory=Sonar)
+    """The part of the geometry that pings do not state (tilt, frame rate)."""
     values: Mapping[str, str | float | None] = field(default_factory=dict)
+    """Other values worth knowing, by name and unit; None if the sonar did not measure it."""
     sample_db: float | None = None
+    """Decibels from one sample value to the next, if samples are decibels."""
 
 
 class RawLog(ABC):
@@ -173,26 +180,29 @@ class FileBytes:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message. Times in ns; publish_time is None if the container does not store it. data is
-    None if it cannot be read; then `problem` says why. If `problem` is None too, it was lost
-    together with others, which the recording's faults report in one line."""
+    """One message. Times in ns."""
 
     channel: int
     log_time: int
     publish_time: int | None
+    """None if the container does not store it."""
     data: memoryview | None
+    """None if it cannot be read."""
     problem: str | None = None
+    """Why it cannot be read. If there are neither data nor a problem, it was lost together with
+    others, which the recording's faults report in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel, and the type of its messages. schema: name of the type; empty if there is none.
-    schema_encoding, definition: as stored in the container ("ros2msg", ...)."""
+    """One channel, and the type of its messages."""
 
     topic: str
     schema: str
+    """Name of the type; empty if there is none."""
     schema_encoding: str
     definition: bytes
+    """schema_encoding, definition: as stored in the container ("ros2msg", ...)."""
     message_encoding: str
 
 

@@ -42,14 +42,17 @@ MOST_SEEN = MOST_MISTAKEN = 6
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Report:
-    """What was written. pictures: drawn frames on the page. held: frames that a click shows.
-    unused: one line for each part of the input that could not be used. notes: what else to know."""
+    """What was written."""
 
     path: Path
     pictures: int
+    """Drawn frames on the page."""
     held: int
+    """Frames that a click shows."""
     unused: tuple[str, ...]
+    """One line for each part of the input that could not be used."""
     notes: tuple[str, ...] = ()
+    """What else to know."""
 
 
 def report(
@@ -175,7 +178,7 @@ def _of_one_set(
         truth = cache(read_truth)
         for n in worst_first(evaluation.counts):
             name, gt = evaluation.counts.logs[n], evaluation.truths[n]
-            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.names[n], name))
+            to_show.append(LogToShow(scored[n], truth(gt), evaluation.counts.counted[n].name, name))
     return [*to_show, *(LogToShow(f) for f in folders if f not in {*scored, *others})]
 
 

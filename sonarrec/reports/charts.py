@@ -37,10 +37,11 @@ Tick = tuple[float, str]
 
 
 class Shape(NamedTuple):
-    """One path of a chart. colour: index of the ID or method; None: grey."""
+    """One path of a chart."""
 
     path: str
     colour: int | None
+    """Index of the ID or method; None: grey."""
     kind: str = "line"
     label: str = ""
 
@@ -56,9 +57,10 @@ class Dot(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """One chart. description: what it shows, in words, for screen readers."""
+    """One chart."""
 
     description: str
+    """What it shows, in words, for screen readers."""
     shapes: Sequence[Shape]
     x_ticks: Sequence[Tick] = ()
     y_ticks: Sequence[Tick] = ()
@@ -148,11 +150,11 @@ def roc(counts: Counts, protocol: str) -> Chart:
     curves = evaluation_roc(counts, protocol, 2 * MOST_POINTS)
     axis = Axis(0.0, curves.fpr_end)
     shapes = [
-        Shape(polyline(axis.share(x.fpr), x.tpr.to_numpy()), n, f"line style-{n % STYLES}", method)
+        Shape(polyline(axis.share(x["fpr"]), x["tpr"]), n, f"line style-{n % STYLES}", method)
         for n, (method, x) in enumerate(curves.lines.items())
     ]
-    points = [(point, n, "dot") for n, point in enumerate(curves.points.itertuples())]
-    marks = [*points, *((point, None, point.name) for point in curves.published.itertuples())]
+    points = [(point, n, "dot") for n, point in enumerate(curves.points)]
+    marks = [*points, *((point, None, point.name) for point in curves.published)]
     dots = [
         Dot(100 * float(axis.share(point.fpr)), 100 * point.tpr, point.label, colour, kind)
         for point, colour, kind in marks

@@ -46,22 +46,24 @@ rotation in deg) or corners, label, colour (index of the ID) and declared."""
 
 @dataclass(slots=True)
 class Picture:
-    """A frame drawn with the estimates of one method.
-
-    log: name. frame: its number in the log. group: "surest", "rarest" or "mistake". wrong: its
-    mistake in words; then the truth is drawn too. Once drawn: source, a data URI of size (width,
-    height), and alt, a description.
-    """
+    """A frame drawn with the estimates of one method."""
 
     log: str
+    """Its name."""
     method: str
     frame: int
+    """Its number in the log."""
     group: str
+    """One of "surest", "rarest" and "mistake"."""
     caption: str
     wrong: str = ""
+    """Its mistake in words; then the truth is drawn too."""
     source: str = ""
+    """Once drawn: a data URI. Also the next two are empty before."""
     size: tuple[int, int] = (0, 0)
+    """(width, height)."""
     alt: str = ""
+    """A description."""
 
 
 # Which recording is which log's

@@ -26,17 +26,16 @@ MOST_LOGS = 8  # logs with panels of their own: each adds some 40 kB to the page
 
 @dataclass(frozen=True)
 class ReportedLog:
-    """One log's results and, where it is known, its truth. N estimates over F frames.
-
-    tracker: the method whose tracks are shown. matched: with the truth; None if that is not known.
-    sightings: the tracker's, in order of first sight.
-    """
+    """One log's results and, where it is known, its truth. N estimates over F frames."""
 
     folder: Path
     results: LogResults
     tracker: str
+    """The method whose tracks are shown."""
     matched: Matched | None
+    """With the truth; None if that is not known."""
     sightings: list[Sighting]
+    """The tracker's, in order of first sight."""
 
     @property
     def name(self) -> str:
@@ -116,12 +115,14 @@ class ReportedLog:
 
 
 class LogToShow(NamedTuple):
-    """A log to be read. log: its name in the truth; name: on the page; None: its folder's."""
+    """A log to be read."""
 
     folder: Path
     truth: TruthTable | None = None
     log: str | None = None
+    """Its name in the truth."""
     name: str | None = None
+    """Its name on the page; None: its folder's."""
 
 
 def read_logs(
@@ -165,20 +166,19 @@ def read_logs(
 
 
 class JudgedSighting(NamedTuple):
-    """A sighting and whether it is true.
-
-    estimates: (n,) its declarations, in frame order. surest: the one of the best score; of equal
-    printed scores a true one, then that nearest to the middle of the fan (or of the pass, if
-    positions are not known). right: how many are true; None if truth is not known. wrong: if
-    `surest` is a false claim, why.
-    """
+    """A sighting and whether it is true."""
 
     log: ReportedLog
     sighting: Sighting
     estimates: IntArray
+    """(n,) its declarations, in frame order."""
     surest: int
+    """The one of the best score; of equal printed scores a true one, then that nearest to the
+    middle of the fan (or of the pass, if positions are not known)."""
     right: int | None
+    """How many are true; None if truth is not known."""
     wrong: str
+    """If `surest` is a false claim, why."""
 
 
 def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
@@ -209,14 +209,13 @@ def judged_sightings(log: ReportedLog) -> list[JudgedSighting]:
 
 
 class Track(NamedTuple):
-    """One object followed by the tracker, by its number in estimates.csv.
-
-    estimates: (n,) indices, in frame order. frame_index: (n,) into the log's frames, rising.
-    """
+    """One object followed by the tracker, by its number in estimates.csv."""
 
     number: int
     estimates: IntArray
+    """(n,) indices, in frame order."""
     frame_index: IntArray
+    """(n,) into the log's frames, rising."""
 
 
 def tracks(log: ReportedLog) -> list[Track]:

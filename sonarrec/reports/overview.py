@@ -68,7 +68,7 @@ def all_logs(
     scored: Sequence[Path] = ()
     if evaluation is not None:
         counts, scored = evaluation.counts, evaluation.folders
-        names, frames = rates_per_log(counts), counts.frames_of
+        names, frames = rates_per_log(counts), [log.frames for log in counts.counted]
         for n in worst_first(counts):
             name, points = names[n]
             rows.append(row(scored[n], frames[n], name=name, points=points))

@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column, a row of columns.csv.
-
-    form: how a cell is written. kind: what a cell must be when it is read back; None: the column
-    is not read. needed: tables of other programs must have the column too. meaning: for `sonarrec
-    help results`; columns that follow each other with one meaning are listed together.
-    """
+    """One column, a row of columns.csv."""
 
     name: str
     form: str
+    """How a cell is written."""
     kind: Kind | None
+    """What a cell must be when it is read back; None: the column is not read."""
     needed: bool
+    """Tables of other programs must have the column too."""
     meaning: str
+    """For `sonarrec help results`; columns that follow each other with one meaning are listed
+    together."""
 
 
 def _read() -> dict[str, tuple[Column, ...]]:

@@ -74,40 +74,44 @@ Recording = tuple[str | None, Hashable]
 
 @dataclass(frozen=True, slots=True)
 class LogResults:
-    """The results of all methods on one log: F frames, N estimates, K IDs.
-
-    frame: (F,) numbers of the frames processed, rising. timestamp_ns: (F,) or None. stretch: (F,)
-    numbers of their stretches.
-    methods: names. The arrays below have one element per estimate. method: index into methods.
-    frame_index: into frame. landmark_index: into landmarks.ids. score: 0 to 1. declared: bool.
-    position: (N, 2) metres in the fan plane, or None if not known.
-    orientation: (N,) deg, NaN if not known. object: (N,) a number per candidate or track, -1 if
-    not known. probability: (N, K + 1), one per ID in the set's order, then none of these; None if
-    the columns are missing.
-    fan: converts fan pixels to metres; None if the geometry is not known.
-    strays: estimates left out because they lie on frames that frames.csv does not list.
-    finished: False if run.toml says that the run was cut short. run: run.toml.
-    """
+    """The results of all methods on one log: F frames, N estimates, K IDs."""
 
     name: str
     landmarks: LandmarkSet
     fan: Fan | None
+    """Converts fan pixels to metres; None if the geometry is not known."""
     frame: IntArray
+    """(F,) numbers of the frames processed, rising."""
     timestamp_ns: IntArray | None
+    """(F,) or None."""
     stretch: IntArray
+    """(F,) numbers of their stretches."""
     methods: tuple[str, ...]
+    """Their names. The arrays below have one element per estimate."""
     method: IntArray
+    """Index into methods."""
     frame_index: IntArray
+    """Into frame."""
     landmark_index: IntArray
+    """Into landmarks.ids."""
     score: FloatArray
+    """0 to 1."""
     declared: BoolArray
     position: FloatArray | None
+    """(N, 2) metres in the fan plane, or None if not known."""
     orientation: FloatArray
+    """(N,) deg, NaN if not known."""
     object: IntArray
+    """(N,) a number per candidate or track, -1 if not known."""
     probability: npt.NDArray[np.float32] | None
+    """(N, K + 1), one per ID in the set's order, then none of these; None if the columns are
+    missing."""
     strays: int
+    """Estimates left out because they lie on frames that frames.csv does not list."""
     finished: bool
+    """False if run.toml says that the run was cut short."""
     run: RunFile
+    """run.toml."""
 
 
 def find_logs(results: Path) -> list[Path]:
@@ -507,15 +511,14 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tables:
-    """The tables of one log's results, with the rows and columns of the files.
-
-    frames: frames.csv, a row per frame. estimates: estimates.csv, a row per frame, method and
-    object; positions in pixels, m and deg. sightings: sightings.csv, None if there is none.
-    """
+    """The tables of one log's results, with the rows and columns of the files."""
 
     frames: pd.DataFrame
+    """frames.csv, a row per frame."""
     estimates: pd.DataFrame
+    """estimates.csv, a row per frame, method and object; positions in pixels, m and deg."""
     sightings: pd.DataFrame | None
+    """sightings.csv, None if there is none."""
 
     def __repr__(self) -> str:
         return f"<{len(self.frames)} frames, {len(self.estimates)} estimates>"
@@ -538,6 +541,16 @@ def read_results(folder: str | Path) -> Tables:
     ------
     SonarrecError
         frames.csv or estimates.csv cannot be read.
+
+    Examples
+    --------
+    >>> tables = sonarrec.read_results("sample_data/regression/pan")
+    >>> declared = tables.estimates[tables.estimates.declared == 1]
+    >>> last = declared[["frame", "method", "landmark", "range_m"]].round(1).tail(2)
+    >>> print(last.to_string(index=False))
+     frame    method  landmark  range_m
+       127       smi         3      2.0
+       127 framework         1      2.0
     """
     folder = Path(folder)
     sightings = folder / "sightings.csv"

@@ -80,12 +80,15 @@ def run_table(
 class ExistingResults:
     """The finished results in a folder, compared with a run to come."""
 
-    up_to_date: bool = False  # the run would give the same
+    up_to_date: bool = False
+    """The run would give the same."""
     frames: int = 0
-    unusable: int = 0  # frames
+    unusable: int = 0
+    """Frames that could not be used."""
     candidates: int = 0
     problems: list[str] = field(default_factory=list)
-    reason: str = ""  # to run again: how the run differs from them; empty if there are none
+    reason: str = ""
+    """To run again: how the run differs from them; empty if there are none."""
 
 
 _ROWS = {
@@ -266,14 +269,22 @@ def rerun(log: Path, run: Path, *options: object, poses: object = None) -> str:
 class LogOptions:
     """How to read a log, as given by the user; None: not given."""
 
-    sonar: Sonar = field(default_factory=Sonar)  # keys that take precedence over every file
-    sonar_file: Path | None = None  # in place of the log's own sonar.toml
-    topic: str | None = None  # the image channel of an MCAP
-    time: Clock | None = None  # which of a message's times is that of its frame; default: log time
-    odometry: Path | None = None  # a table of the sonar's poses, see readers/poses.py
-    odometry_topic: str | None = None  # the topic with the poses, in place of a table
-    frames: tuple[int, int | None] | None = None  # from the first up to, not including, the second
-    up_to: Path | None = None  # the highest folder searched for files that belong to the log
+    sonar: Sonar = field(default_factory=Sonar)
+    """Keys that take precedence over every file."""
+    sonar_file: Path | None = None
+    """In place of the log's own sonar.toml."""
+    topic: str | None = None
+    """The image channel of an MCAP."""
+    time: Clock | None = None
+    """Which of a message's times is that of its frame; default: log time."""
+    odometry: Path | None = None
+    """A table of the sonar's poses, see readers/poses.py."""
+    odometry_topic: str | None = None
+    """The topic with the poses, in place of a table."""
+    frames: tuple[int, int | None] | None = None
+    """From the first up to, not including, the second."""
+    up_to: Path | None = None
+    """The highest folder searched for files that belong to the log."""
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of `open_log`."""
@@ -286,20 +297,23 @@ class Input:
     """[input] of run.toml: the log and how it was read; None: not stated."""
 
     name: str | None = None
-    path: str | None = None  # as it was given
-    place: str | None = None  # relative to the results folder; or its URL
+    path: str | None = None
+    """As it was given."""
+    place: str | None = None
+    """Relative to the results folder; or its URL."""
     bytes: Count | None = None
     sha256: str | None = None
     topic: str | None = None
     time: Clock | None = None
     frames: str | None = None
-    # Of a finished run; earlier versions state fewer rows, or none.
     frames_processed: Count = 0
+    """This and the next four: of a finished run; earlier versions state fewer of them, or none."""
     frames_unusable: Count = 0
     candidates: Count = 0
     estimates: Count = 0
     sightings: Count = 0
-    tables_sha256: dict[str, str] = field(default_factory=dict)  # by name of the file
+    tables_sha256: dict[str, str] = field(default_factory=dict)
+    """By name of the file."""
     problems: tuple[str, ...] = ()
 
     def is_of(self, size: int | None, sha256: str | None) -> bool:
@@ -317,13 +331,19 @@ class RunFile:
     """run.toml as it was read; a missing file counts as empty."""
 
     path: Path
-    table: Mapping[str, Any]  # the whole file
-    finished: bool  # False if the run was cut short
-    methods: tuple[str, ...] | None  # of estimates.csv
+    table: Mapping[str, Any]
+    """The whole file."""
+    finished: bool
+    """False if the run was cut short."""
+    methods: tuple[str, ...] | None
+    """Of estimates.csv."""
     input: Input
-    configs: tuple[Mapping[str, Any], ...]  # the settings, of each preset
-    odometry: Mapping[str, Any]  # empty: none was used
-    model: Mapping[str, Any] | None  # of `sonarrec calibrate`; None: the built-in reader
+    configs: tuple[Mapping[str, Any], ...]
+    """The settings, of each preset."""
+    odometry: Mapping[str, Any]
+    """Empty: none was used."""
+    model: Mapping[str, Any] | None
+    """Of `sonarrec calibrate`; None: the built-in reader."""
 
     def landmark_set(self, choice: str | Path | None = None) -> LandmarkSet:
         """The set that the user chose by name or file, else the run's, else `basin`."""

@@ -25,7 +25,7 @@ class Sighting:
     """One pass: the declarations of a landmark by one track; a row of sightings.csv.
 
     What its fields mean: SIGHTING_COLUMNS. m, deg and ns; NaN if not known, and track None for a
-    method that does not track objects. orientation_deg: one of several for a symmetric symbol.
+    method that does not track objects.
     """
 
     method: str
@@ -41,6 +41,7 @@ class Sighting:
     range_m: float
     bearing_deg: float
     orientation_deg: float
+    """One of several for a symmetric symbol."""
     range_sigma_m: float
     bearing_sigma_deg: float
     orientation_sigma_deg: float

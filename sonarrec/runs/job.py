@@ -24,11 +24,15 @@ GRACE_S = 10.0
 class RunOptions:
     """The user's choices for a run, except for how the log is read."""
 
-    configs: Sequence[Config]  # several: side by side, each under its own method name
-    landmarks: str | Path | None = None  # a set by name or file; default: the earlier run's, basin
-    model: Path | None = None  # of calibrate; default: the earlier run's, else the built-in one
-    earlier_run: Path | None = None  # a run.toml, whose geometry, landmarks and model serve where
-    # none are given; a plain file of settings has none of these
+    configs: Sequence[Config]
+    """Several run side by side, each under its own method name."""
+    landmarks: str | Path | None = None
+    """A set by name or file; default: the earlier run's, basin."""
+    model: Path | None = None
+    """Of calibrate; default: the earlier run's, else the built-in one."""
+    earlier_run: Path | None = None
+    """A run.toml, whose geometry, landmarks and model serve where none are given; a plain file of
+    settings has none of these."""
 
     def check(self) -> None:
         """Raise UsageError if one of the files is invalid, before any log is opened."""
@@ -45,14 +49,19 @@ class RunOptions:
 class Job:
     """One log to run; it can be pickled, and handed to another process or machine."""
 
-    log: str  # its path, or its URL with secrets: show `path`
-    name: str  # of the folder of its results, see `result_names`
-    out: str  # the folder in which that lies, or its URL
+    log: str
+    """Its path, or its URL with secrets: show `path`."""
+    name: str
+    """Of the folder of its results, see `result_names`."""
+    out: str
+    """The folder in which that lies, or its URL."""
     log_options: LogOptions
     run_options: RunOptions
     overwrite: bool = False
-    urls: Mapping[str, str] = field(default_factory=dict)  # of temporary folders, see `local_copy`
-    advise: Callable[..., Iterable[Advice]] | None = None  # of an EndedRun, for its notes
+    urls: Mapping[str, str] = field(default_factory=dict)
+    """Of temporary folders, see `local_copy`."""
+    advise: Callable[..., Iterable[Advice]] | None = None
+    """Of an EndedRun, for its notes."""
 
     @property
     def path(self) -> str:
@@ -84,32 +93,36 @@ Status = Literal["waiting", "running", "done", "partial", "failed"]
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Outcome:
-    """How the run of one log went.
-
-    status: `partial` if part of the log could not be used. up_to_date: these very results were
-    there, so nothing was done. folder: where the results are. frames: how many were processed.
-    unusable: how many could not be. candidates: over all frames. problems: a line for each thing
-    that could not be used. notes: other lines for the user. passes: how many sightings.csv has of
-    each method that follows objects. sightings: of each of these the MOST_SIGHTINGS declared in the
-    most frames, in order of first sight. landmarks: frames in which the first of these methods
-    declared each ID, summed over its passes. error: why it failed; then there are no results.
-    traceback: of a bug, if its process printed one. seconds: duration.
-    """
+    """How the run of one log went."""
 
     status: Status
+    """`partial` if part of the log could not be used."""
     folder: Path = Path()
+    """Where the results are."""
     frames: int = 0
+    """How many were processed."""
     unusable: int = 0
+    """How many could not be."""
     candidates: int = 0
+    """Over all frames."""
     problems: Sequence[str] = ()
+    """A line for each thing that could not be used."""
     notes: Sequence[str] = ()
+    """Other lines for the user."""
     passes: Mapping[str, int] = field(default_factory=dict)
+    """How many sightings.csv has of each method that follows objects."""
     sightings: Sequence[Sighting] = ()
+    """Of each of these the MOST_SIGHTINGS declared in the most frames, in order of first sight."""
     landmarks: Mapping[int, int] = field(default_factory=dict)
+    """Frames in which the first of these methods declared each ID, summed over its passes."""
     up_to_date: bool = False
+    """These very results were there, so nothing was done."""
     error: SonarrecError | None = None
+    """Why it failed; then there are no results."""
     traceback: str = ""
+    """Of a bug, if its process printed one."""
     seconds: float = 0.0
+    """Duration."""
 
     @property
     def message(self) -> str:

@@ -27,14 +27,21 @@ USABLE = ("done", "partial")
 class Row:
     """A row of logs.csv; its fields are the columns."""
 
-    log: str  # name of its results folder
-    path: str  # as given
+    log: str
+    """Name of its results folder."""
+    path: str
+    """As given."""
     status: Status
-    frames: int = 0  # processed
-    unusable: int = 0  # frames that could not be used
-    seconds: float = 0.0  # duration of its last run; 0: not known
-    declared: int = 0  # passes in sightings.csv, of methods that track objects
-    message: str = ""  # what could not be used, or why it failed; or "stopped"
+    frames: int = 0
+    """Processed."""
+    unusable: int = 0
+    """Frames that could not be used."""
+    seconds: float = 0.0
+    """Duration of its last run; 0: not known."""
+    declared: int = 0
+    """Passes in sightings.csv, of methods that track objects."""
+    message: str = ""
+    """What could not be used, or why it failed; or "stopped"."""
 
 
 COLUMNS = tuple(f.name for f in fields(Row))

@@ -33,15 +33,20 @@ class PreparedRun:
     """An opened log, and what recognises landmarks in it."""
 
     log: Log
-    log_options: LogOptions  # as used: completed by an earlier run and the log's own files
-    frames: Iterator[Frame]  # those asked for; the first ones were read already
-    frame_count: int | None  # how many; None if the log does not say
+    log_options: LogOptions
+    """As used: completed by an earlier run and the log's own files."""
+    frames: Iterator[Frame]
+    """Those asked for; the first ones were read already."""
+    frame_count: int | None
+    """How many; None if the log does not say."""
     fan: Fan
     landmarks: LandmarkSet
     poses: PoseTable | None
     recogniser: SideBySide
-    basis: str  # a line on what it goes by, see `help run`
-    table: dict[str, Any]  # the run.toml to write
+    basis: str
+    """A line on what it goes by, see `help run`."""
+    table: dict[str, Any]
+    """The run.toml to write."""
 
 
 @contextmanager

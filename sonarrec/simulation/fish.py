@@ -19,15 +19,15 @@ OUTSIDE_M = 0.4  # how far outside of the floor in view fish leave and come in a
 
 @dataclass(frozen=True, slots=True)
 class Fishes:
-    """The positions of all fish at one moment, each (n,).
-
-    x_m, y_m: along the floor. up_m: height above it. heading_deg: azimuth.
-    """
+    """The positions of all fish at one moment, each (n,)."""
 
     x_m: FloatArray
     y_m: FloatArray
+    """x_m, y_m: along the floor."""
     up_m: FloatArray
+    """Height above it."""
     heading_deg: FloatArray
+    """Azimuth."""
     length_m: FloatArray
 
 

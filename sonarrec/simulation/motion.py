@@ -13,18 +13,17 @@ from sonarrec.simulation.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The sonar's true pose. x_m, y_m: to the right and forward of the floor's origin.
-
-    pitch_deg: by how much it is tilted more than stated. roll_deg: by how much its right side is
-    down.
-    """
+    """The sonar's true pose."""
 
     pan_deg: float
     height_m: float
     x_m: float
     y_m: float
+    """x_m, y_m: to the right and forward of the floor's origin."""
     pitch_deg: float = 0.0
+    """By how much it is tilted more than stated."""
     roll_deg: float = 0.0
+    """By how much its right side is down."""
 
 
 def ar1(

@@ -46,22 +46,23 @@ def object_radius(scene: Scene, item: Placed) -> float:
 
 
 class Layers(NamedTuple):
-    """What the cells of a grid hold, (rows, columns) each.
-
-    level: brightness over the floor, dB. owner: number of the object, -1: the floor. height: m.
-    relief: standard deviation of the height, m; negative for bumps that only rise. lifted: how tall
-    an object standing in the cell would have to be, for the sonar to see its top at the depression
-    of the leaning disc that shows there, m. silt: smooth noise that shapes it. glitter: by how much
-    a cell is brighter if it is of a disc's bright parts, dB.
-    """
+    """What the cells of a grid hold, (rows, columns) each."""
 
     level: np.ndarray
+    """Brightness over the floor, dB."""
     owner: np.ndarray
+    """Number of the object, -1: the floor."""
     height: np.ndarray
+    """Of what lies there, m."""
     relief: np.ndarray
+    """Standard deviation of the height, m; negative for bumps that only rise."""
     lifted: np.ndarray
+    """How tall an object standing in the cell would have to be, for the sonar to see its top at the
+    depression of the leaning disc that shows there, m."""
     silt: np.ndarray
+    """Smooth noise that shapes it."""
     glitter: np.ndarray
+    """By how much a cell is brighter if it is of a disc's bright parts, dB."""
 
 
 class Canvas:

@@ -28,20 +28,19 @@ from sonarrec.simulation.world import PATCHES, World
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFrame:
-    """One simulated ping.
-
-    image: uint8, (fan.rows, fan.columns), or (range bins, beams) if polar. fan: the geometry as
-    sonar.toml states it. pan_deg: the true pan, yaw jitter included. truth, distractors: landmarks
-    and other objects in view, in the scene's order.
-    """
+    """One simulated ping."""
 
     index: int
     timestamp_ns: int
     image: ByteImage
+    """uint8, (fan.rows, fan.columns), or (range bins, beams) if polar."""
     fan: Fan
+    """The geometry as sonar.toml states it."""
     pan_deg: float
+    """The true pan, yaw jitter included."""
     truth: tuple[Truth, ...]
     distractors: tuple[Truth, ...] = ()
+    """truth, distractors: landmarks and other objects in view, in the scene's order."""
 
 
 def render(

@@ -74,23 +74,36 @@ ROUND = ("blank", "filled", "spokes", "half_ring", "tyre", "stone", "cover", *SY
 class SonarSection:
     """The imaging sonar, above the floor's origin; the defaults are a DIDSON's."""
 
-    layout: Literal["fan", "polar"] = "fan"  # of the images written
+    layout: Literal["fan", "polar"] = "fan"
+    """Of the images written."""
     range_min_m: NotNegative = 1.25
     range_max_m: Annotated[float, bounds(0.01, 1e6)] = 3.75
-    range_bins: Size = 512  # also the rows of the image
+    range_bins: Size = 512
+    """Also the rows of the image."""
     beams: Size = 96
     field_of_view_deg: Positive = 28.8
-    bearings: Literal["even", "didson"] = "even"  # didson: a beam every 0.37 deg, 0.22 at the edges
-    height_m: Positive = 0.68  # true height above the floor straight below
-    tilt_deg: Positive = 20.0  # true tilt, downward
-    height_error_m: Finite = 0.0  # sonar.toml states the true value plus this
-    tilt_error_deg: Finite = 0.0  # sonar.toml states the true value plus this
-    vertical_beam_deg: Positive = 14.0  # two-way, between half-power points
-    beam_width_deg: Positive = 0.4  # two-way, between half-power points
-    side_lobe_db: Level = -30.0  # of each beam, two-way, below its main lobe
-    stray_db: Level = -38.0  # leak between beams at distances of 8, which fire together
-    cross_talk_db: Level = -38.0  # leak of every beam into every other
-    pulse_m: Positive = 0.008  # length of the pulse in range, between half-power points
+    bearings: Literal["even", "didson"] = "even"
+    """didson: a beam every 0.37 deg, 0.22 at the edges."""
+    height_m: Positive = 0.68
+    """True height above the floor straight below."""
+    tilt_deg: Positive = 20.0
+    """True tilt, downward."""
+    height_error_m: Finite = 0.0
+    """sonar.toml states the true value plus this."""
+    tilt_error_deg: Finite = 0.0
+    """sonar.toml states the true value plus this."""
+    vertical_beam_deg: Positive = 14.0
+    """Two-way, between half-power points."""
+    beam_width_deg: Positive = 0.4
+    """Two-way, between half-power points."""
+    side_lobe_db: Level = -30.0
+    """Of each beam, two-way, below its main lobe."""
+    stray_db: Level = -38.0
+    """Leak between beams at distances of 8, which fire together."""
+    cross_talk_db: Level = -38.0
+    """Leak of every beam into every other."""
+    pulse_m: Positive = 0.008
+    """Length of the pulse in range, between half-power points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,24 +116,36 @@ class MotionSection:
 
     pan_min_deg: Finite = -40.0
     pan_max_deg: Finite = 40.0
-    pan_start_deg: Finite = -40.0  # at the first frame, moving to the right
+    pan_start_deg: Finite = -40.0
+    """At the first frame, moving to the right."""
     pan_deg_s: NotNegative = 2.0
-    yaw_jitter_deg: NotNegative = 0.0  # standard deviation, around the sweep
-    yaw_jitter_s: Positive = 0.5  # correlation time
-    heave_m: NotNegative = 0.0  # amplitude
+    yaw_jitter_deg: NotNegative = 0.0
+    """Standard deviation, around the sweep."""
+    yaw_jitter_s: Positive = 0.5
+    """Correlation time."""
+    heave_m: NotNegative = 0.0
+    """Amplitude."""
     heave_period_s: Period = 7.0
-    sway_x_m: NotNegative = 0.0  # amplitude of slow translation to the right
-    sway_y_m: NotNegative = 0.0  # and forward
+    sway_x_m: NotNegative = 0.0
+    """Amplitude of slow translation to the right."""
+    sway_y_m: NotNegative = 0.0
+    """Amplitude of slow translation forward."""
     sway_period_s: Period = 60.0
-    surge_m_s: Finite = 0.0  # speed ahead, the constant part
-    surge_swing_m_s: NotNegative = 0.0  # amplitude of its sine
-    crab_m_s: Finite = 0.0  # speed to the right, the constant part
+    surge_m_s: Finite = 0.0
+    """Speed ahead, the constant part."""
+    surge_swing_m_s: NotNegative = 0.0
+    """Amplitude of its sine."""
+    crab_m_s: Finite = 0.0
+    """Speed to the right, the constant part."""
     crab_swing_m_s: NotNegative = 0.0
-    yaw_deg_s: Finite = 0.0  # turn to the right, the constant part
+    yaw_deg_s: Finite = 0.0
+    """Turn to the right, the constant part."""
     yaw_swing_deg_s: NotNegative = 0.0
     swing_period_s: Period = 30.0
-    pitch_deg: Lean = 0.0  # amplitude of slow changes of the tilt, which nobody states
-    roll_deg: Lean = 0.0  # amplitude, about the heading
+    pitch_deg: Lean = 0.0
+    """Amplitude of slow changes of the tilt, which nobody states."""
+    roll_deg: Lean = 0.0
+    """Amplitude, about the heading."""
     attitude_period_s: Period = 6.0
 
     @property
@@ -135,90 +160,146 @@ class MotionSection:
 class FloorSection:
     """The floor. Its mean brightness on the beam's axis is 0 dB."""
 
-    texture_db: Spread = 1.2  # standard deviation of its slow changes
-    texture_m: Positive = 0.15  # their size
-    angle_exponent: NotNegative = 1.0  # backscattered power: sin(grazing angle) to this power
-    speckle_s: Positive = 120.0  # time after which speckle has changed (correlation 1/e)
-    speckle_m: Positive = 0.12  # sway or heave after which speckle has changed (correlation 1/e)
-    # Share of the received power that is coherent: 1 is full speckle and noise, 0 is neither.
+    texture_db: Spread = 1.2
+    """Standard deviation of its slow changes."""
+    texture_m: Positive = 0.15
+    """Their size."""
+    angle_exponent: NotNegative = 1.0
+    """Backscattered power: sin(grazing angle) to this power."""
+    speckle_s: Positive = 120.0
+    """Time after which speckle has changed (correlation 1/e)."""
+    speckle_m: Positive = 0.12
+    """Sway or heave after which speckle has changed (correlation 1/e)."""
     coherence: Share = 1.0
-    relief_m: NotNegative = 0.0  # standard deviation of its height: lit slopes and shadows
-    relief_size_m: Positive = 0.03  # size of its bumps, and of those of things with a relief
-    light_db: Spread = 0.0  # by how much patches of the scene are darker, with the things on them
-    light_m: Positive = 0.4  # their size; their edges are sharp
-    debris_db: Spread = 0.0  # by how much twigs and weed are brighter, also on top of things
-    debris_m: Positive = 0.2  # how far one winds before it turns
-    slope_deg: Annotated[float, bounds(0, 30)] = 0.0  # of the floor, which is a plane
-    slope_towards_deg: Finite = 0.0  # azimuth in which it rises
-    ripple_height_m: NotNegative = 0.0  # of sand ripples, trough to crest: lit fronts, shaded backs
-    ripple_length_m: Positive = 0.15  # from crest to crest
-    ripple_towards_deg: Finite = 0.0  # azimuth across the crests
-    ripple_bends: Share = 0.3  # how far crests stray from straight lines, in wavelengths
-    silt_m: Positive = 0.08  # size of the patches of silt on things that have some
-    glitter_db: Spread = 0.0  # by how much, on average, single stones of bright parts are brighter
-    glitter_m: Positive = 0.015  # size of such a stone
-    glitter_share: Annotated[float, bounds(0.001, 0.5)] = 0.1  # of the bright parts' area
+    """Share of the received power that is coherent: 1 is full speckle and noise, 0 is neither."""
+    relief_m: NotNegative = 0.0
+    """Standard deviation of its height: lit slopes and shadows."""
+    relief_size_m: Positive = 0.03
+    """Size of its bumps, and of those of things with a relief."""
+    light_db: Spread = 0.0
+    """By how much patches of the scene are darker, with the things on them."""
+    light_m: Positive = 0.4
+    """Their size; their edges are sharp."""
+    debris_db: Spread = 0.0
+    """By how much twigs and weed are brighter, also on top of things."""
+    debris_m: Positive = 0.2
+    """How far one winds before it turns."""
+    slope_deg: Annotated[float, bounds(0, 30)] = 0.0
+    """Of the floor, which is a plane."""
+    slope_towards_deg: Finite = 0.0
+    """Azimuth in which it rises."""
+    ripple_height_m: NotNegative = 0.0
+    """Of sand ripples, trough to crest: lit fronts, shaded backs."""
+    ripple_length_m: Positive = 0.15
+    """From crest to crest."""
+    ripple_towards_deg: Finite = 0.0
+    """Azimuth across the crests."""
+    ripple_bends: Share = 0.3
+    """How far crests stray from straight lines, in wavelengths."""
+    silt_m: Positive = 0.08
+    """Size of the patches of silt on things that have some."""
+    glitter_db: Spread = 0.0
+    """By how much, on average, single stones of bright parts are brighter."""
+    glitter_m: Positive = 0.015
+    """Size of such a stone."""
+    glitter_share: Annotated[float, bounds(0.001, 0.5)] = 0.1
+    """Of the bright parts' area."""
 
 
 @dataclass(frozen=True, slots=True)
 class FadingSection:
     """Unstable reflection: objects, patches and whole frames fade; objects have an afterglow."""
 
-    object_db: Spread = 1.2  # standard deviation of each object's brightness
-    patch_db: Spread = 1.5  # and of the patches of an object
-    patch_m: Positive = 0.06  # size of the patches
-    time_s: Positive = 6.0  # correlation time of both
-    specular_db: Spread = 2.5  # how much brighter ring edges that face the sonar are
-    frame_probability: Share = 0.01  # of a frame that fades alone
-    burst_probability: Share = 0.0  # of a burst of fading frames to begin
-    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0  # mean, without its first; at least 1
-    depth_db: Spread = 8.0  # mean loss of a fading frame
-    ghost_db: Level = -16.0  # an object's blurred afterglow, below its own brightness
-    ghost_shift_m: Finite = 0.10  # in range
-    ghost_blur_m: NotNegative = 0.05  # standard deviation in range
+    object_db: Spread = 1.2
+    """Standard deviation of each object's brightness."""
+    patch_db: Spread = 1.5
+    """Standard deviation of the patches of an object."""
+    patch_m: Positive = 0.06
+    """Size of the patches."""
+    time_s: Positive = 6.0
+    """Correlation time of both."""
+    specular_db: Spread = 2.5
+    """How much brighter ring edges that face the sonar are."""
+    frame_probability: Share = 0.01
+    """Of a frame that fades alone."""
+    burst_probability: Share = 0.0
+    """Of a burst of fading frames to begin."""
+    burst_frames: Annotated[float, bounds(0, 1e9)] = 6.0
+    """Mean, without its first; at least 1."""
+    depth_db: Spread = 8.0
+    """Mean loss of a fading frame."""
+    ghost_db: Level = -16.0
+    """An object's blurred afterglow, below its own brightness."""
+    ghost_shift_m: Finite = 0.10
+    """In range."""
+    ghost_blur_m: NotNegative = 0.05
+    """Standard deviation in range."""
 
 
 @dataclass(frozen=True, slots=True)
 class MultipathSection:
     """Echoes by way of the surface. It moves, so their speckle is new in every frame."""
 
-    copy_db: Level = -100.0  # of a later, blurred copy of the scene; none at NO_ECHO_DB or less
-    delay_m: Positive = 0.4  # how much farther it shows
-    blur_m: NotNegative = 0.03  # standard deviation in range
-    blur_beams: NotNegative = 1.5  # and across
-    band_db: Level = -100.0  # of a band of surface echo, over the floor; too
-    band_m: Positive = 2.2  # its range; further ones, each 3 dB weaker, follow at band_step_m
+    copy_db: Level = -100.0
+    """Of a later, blurred copy of the scene; none at NO_ECHO_DB or less."""
+    delay_m: Positive = 0.4
+    """How much farther it shows."""
+    blur_m: NotNegative = 0.03
+    """Standard deviation in range."""
+    blur_beams: NotNegative = 1.5
+    """Standard deviation across."""
+    band_db: Level = -100.0
+    """Of a band of surface echo, over the floor; none at NO_ECHO_DB or less."""
+    band_m: Positive = 2.2
+    """Its range; further ones, each 3 dB weaker, follow at band_step_m."""
     band_step_m: Positive = 0.7
-    band_width_m: Positive = 0.05  # standard deviation
-    drift_m: NotNegative = 0.0  # amplitude of slow changes of delay and bands
-    drift_s: Period = 8.0  # period
+    band_width_m: Positive = 0.05
+    """Standard deviation."""
+    drift_m: NotNegative = 0.0
+    """Amplitude of slow changes of delay and bands."""
+    drift_s: Period = 8.0
+    """Period."""
 
 
 @dataclass(frozen=True, slots=True)
 class FishSection:
     """Fish that swim over the floor, single or in schools; they give echoes and cast shadows."""
 
-    number: Annotated[int, bounds(0, 500)] = 0  # over all the floor that the sonar may see
-    schools: Annotated[int, bounds(0, 500)] = 0  # among which the schooling share is divided
+    number: Annotated[int, bounds(0, 500)] = 0
+    """Over all the floor that the sonar may see."""
+    schools: Annotated[int, bounds(0, 500)] = 0
+    """Among which the schooling share is divided."""
     schooling: Share = 0.5
-    length_m: Positive = 0.1  # of a fish, in the mean; a quarter as wide
-    bright_db: Level = 14.0  # above the floor
-    height_m: NotNegative = 0.15  # above the floor, at most
-    speed_m_s: NotNegative = 0.2  # in the mean
+    length_m: Positive = 0.1
+    """Of a fish, in the mean; a quarter as wide."""
+    bright_db: Level = 14.0
+    """Above the floor."""
+    height_m: NotNegative = 0.15
+    """Above the floor, at most."""
+    speed_m_s: NotNegative = 0.2
+    """In the mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseSection:
     """The receiver and its gains."""
 
-    snr_db: Level = 22.0  # of the floor on the beam's axis, above thermal noise
-    smear: Share = 0.2  # share of the power that the receiver spreads over neighbours, 0 to 1
-    shadow_db: Level = -16.0  # multipath in acoustic shadows, relative to the floor
-    gain_drift_db: Spread = 0.0  # amplitude over the log
-    gain_drift_s: Period = 150.0  # period
-    group_gain_db: Spread = 0.6  # standard deviation of the steps between groups of 8 beams
-    beam_gain_db: Spread = 0.3  # and from beam to beam
-    hot_beams: Count = 2  # beams with too much gain
+    snr_db: Level = 22.0
+    """Of the floor on the beam's axis, above thermal noise."""
+    smear: Share = 0.2
+    """Share of the power that the receiver spreads over neighbours, 0 to 1."""
+    shadow_db: Level = -16.0
+    """Multipath in acoustic shadows, relative to the floor."""
+    gain_drift_db: Spread = 0.0
+    """Amplitude over the log."""
+    gain_drift_s: Period = 150.0
+    """Period."""
+    group_gain_db: Spread = 0.6
+    """Standard deviation of the steps between groups of 8 beams."""
+    beam_gain_db: Spread = 0.3
+    """Standard deviation from beam to beam."""
+    hot_beams: Count = 2
+    """Beams with too much gain."""
     hot_beam_db: Level = 2.0
 
 
@@ -226,31 +307,36 @@ class NoiseSection:
 class PictureSection:
     """Log compression to 8 bits."""
 
-    black_db: Level = -17.0  # power shown as 0, relative to the floor
-    dynamic_range_db: Positive = 50.0  # from 0 to 255
+    black_db: Level = -17.0
+    """Power shown as 0, relative to the floor."""
+    dynamic_range_db: Positive = 50.0
+    """From 0 to 255."""
     gamma: Positive = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedLandmark:
-    """A landmark of the scene's set on the floor.
-
-    ground_m: distance of its centre from the floor's origin, along the floor. azimuth_deg:
-    direction of its centre, positive to the right of pan 0. orientation_deg: where the first sector
-    begins, counter-clockwise seen from above, from the right of a sonar at pan 0.
-    """
+    """A landmark of the scene's set on the floor."""
 
     id: Integer
     ground_m: Positive
+    """Distance of its centre from the floor's origin, along the floor."""
     azimuth_deg: Finite
+    """Direction of its centre, positive to the right of pan 0."""
     orientation_deg: Finite = 0.0
+    """Where the first sector begins, counter-clockwise seen from above, from the right of a sonar
+    at pan 0."""
     bright_db: Level = 12.0
     symbol_db: Level = 11.0
     plate_db: Level = -7.0
-    relief_m: NotNegative = 0.0  # mean height of the gravel that ring and sectors are made of
-    lean_deg: Lean = 0.0  # one edge of the disc is raised by this angle
-    lean_towards_deg: Finite = 0.0  # azimuth of that edge from the disc's middle
-    silted: Share = 0.0  # of its area, covered by silt
+    relief_m: NotNegative = 0.0
+    """Mean height of the gravel that ring and sectors are made of."""
+    lean_deg: Lean = 0.0
+    """One edge of the disc is raised by this angle."""
+    lean_towards_deg: Finite = 0.0
+    """Azimuth of that edge from the disc's middle."""
+    silted: Share = 0.0
+    """Of its area, covered by silt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +351,12 @@ class PlacedObject:
     width_m: Positive | None = None
     bright_db: Level | None = None
     plate_db: Level = -7.0
-    relief_m: NotNegative = 0.0  # as for a landmark, on its bright parts
-    number: Count = 0  # of a symbol that no ID has: its seed
-    lean_deg: Lean = 0.0  # this and the next two: as for a landmark
+    relief_m: NotNegative = 0.0
+    """As for a landmark, on its bright parts."""
+    number: Count = 0
+    """Of a symbol that no ID has: its seed."""
+    lean_deg: Lean = 0.0
+    """This and the next two: as for a landmark."""
     lean_towards_deg: Finite = 0.0
     silted: Share = 0.0
 
@@ -311,17 +400,22 @@ class Scene:
 class HeldPlate:
     """A drawn plate, and how it is held. Its pose swings about what is stated."""
 
-    landmark: int  # its ID; of `others` if it is none of the set's
+    landmark: int
+    """Its ID; of `others` if it is none of the set's."""
     range_m: Positive = 1.0
     bearing_deg: Finite = 0.0
-    turned_deg: Finite = 0.0  # counter-clockwise, in its own plane
-    # Between its plane and that of the image; a plate on the floor: the grazing angle's rest.
+    turned_deg: Finite = 0.0
+    """Counter-clockwise, in its own plane."""
     tilt_deg: Finite = 0.0
-    axis_deg: Finite = 0.0  # of the tilt, counter-clockwise from across
+    """Between its plane and that of the image; a plate on the floor: the grazing angle's rest."""
+    axis_deg: Finite = 0.0
+    """Of the tilt, counter-clockwise from across."""
     mirrored: bool = False
-    bright_db: Finite = 9.0  # of its rough cells over what is round it
+    bright_db: Finite = 9.0
+    """Of its rough cells over what is round it."""
     dark_db: Finite = -6.0
-    known: bool = True  # whether it is of the set, and so in the truth
+    known: bool = True
+    """Whether it is of the set, and so in the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,7 +426,8 @@ class PlateScene:
     landmark_set: DrawnSet = field(
         default_factory=lambda: cast(DrawnSet, load_landmarks("actag24h10"))
     )
-    others: DrawnSet | None = None  # drawings for plates that are none of the set's
+    others: DrawnSet | None = None
+    """Drawings for plates that are none of the set's."""
     plate: tuple[HeldPlate, ...] = (HeldPlate(0),)
     seed: Count = 0
     frames: AtLeastOne = 60
@@ -344,14 +439,19 @@ class PlateScene:
     beam_width_deg: Positive = 0.6
     pulse_m: Positive = 0.006
     rate_hz: Positive = 10.0
-    swing: Share = 0.5  # how much the poses change: 1 is .1 m, 12 deg
-    streaks: Count = 3  # lines of echoes behind each plate
+    swing: Share = 0.5
+    """How much the poses change: 1 is .1 m, 12 deg."""
+    streaks: Count = 3
+    """Lines of echoes behind each plate."""
     light_db: NotNegative = 3.0
-    clutter: Count = 3  # bright figures of about a plate's size
-    floor_db: Finite = 14.0  # of the background over the noise
-    # Of the sonar over the plates: one without tilt and swing lies on the floor.
+    clutter: Count = 3
+    """Bright figures of about a plate's size."""
+    floor_db: Finite = 14.0
+    """Of the background over the noise."""
     height_m: NotNegative = 0.0
-    blank_every: Count = 0  # each so many frames one shows noise alone; 0: none
+    """Of the sonar over the plates: one without tilt and swing lies on the floor."""
+    blank_every: Count = 0
+    """Each so many frames one shows noise alone; 0: none."""
 
 
 AnyScene = Scene | PlateScene

@@ -56,6 +56,12 @@ def simulate(
     ------
     SonarrecError
         The scene cannot be used, or `out` cannot be written or is in use.
+
+    Examples
+    --------
+    >>> log = sonarrec.simulate("paper", "simulated", frames=3, seed=1)
+    >>> sorted(path.name for path in log.iterdir())
+    ['000000.png', '000001.png', '000002.png', 'gt.csv', 'scene.toml', 'sonar.toml']
     """
     chosen = load_scene(scene) if isinstance(scene, str | Path) else scene
     changed = {"seed": seed, "frames": frames}

@@ -18,24 +18,25 @@ from sonarrec.simulation.scene import Placed, PlacedLandmark, Scene, position_of
 
 
 class Truth(NamedTuple):
-    """An object that is at least partly in view of a frame, even if something hides it.
-
-    landmark: its ID; 0 of other objects, which have a kind. x_px, y_px: centre in fan pixels.
-    range_m: slant range. bearing_deg: positive to the right. visible: share of its area that is
-    inside the fan image, 0 to 1. orientation_deg: where the first sector begins, counter-clockwise
-    from the image's right, seen from above. corners: of a drawn plate, (4, 2) of range (m) and
-    bearing (deg), clockwise from the drawing's top left if it is not mirrored.
-    """
+    """An object that is at least partly in view of a frame, even if something hides it."""
 
     landmark: int
+    """Its ID; 0 of other objects, which have a kind."""
     x_px: float
     y_px: float
+    """x_px, y_px: centre in fan pixels."""
     range_m: float
+    """Slant range."""
     bearing_deg: float
+    """Positive to the right."""
     visible: float
+    """Share of its area that is inside the fan image, 0 to 1."""
     orientation_deg: float
+    """Where the first sector begins, counter-clockwise from the image's right, seen from above."""
     kind: str = ""
     corners: FloatArray | None = None
+    """Of a drawn plate, (4, 2) of range (m) and bearing (deg), clockwise from the drawing's top
+    left if it is not mirrored."""
 
 
 TRUTH_COLUMNS = ("frame", *Truth._fields[:7])  # of gt.csv

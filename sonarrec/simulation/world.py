@@ -21,19 +21,19 @@ PATCHES = 6  # processes from which the fading of each place is mixed
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The part of the world in front of the sonar, by slant range (bins) and azimuth (n).
-
-    azimuth_deg: (n,) in the world. echoes: (bins, n) complex64 amplitude of each scatterer. glow:
-    (bins, n) float32 power of the objects' afterglow. power: (bins, n) float32 mean power of each
-    scatterer. depression_deg, sine: (bins, 1) or (bins, n), as from Plane.look.
-    """
+    """The part of the world in front of the sonar, by slant range (bins) and azimuth (n)."""
 
     azimuth_deg: FloatArray
+    """(n,) in the world."""
     echoes: np.ndarray
+    """(bins, n) complex64 amplitude of each scatterer."""
     glow: np.ndarray
+    """(bins, n) float32 power of the objects' afterglow."""
     power: np.ndarray
+    """(bins, n) float32 mean power of each scatterer."""
     depression_deg: FloatArray
     sine: FloatArray
+    """depression_deg, sine: (bins, 1) or (bins, n), as from Plane.look."""
 
 
 class World:

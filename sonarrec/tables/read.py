@@ -68,9 +68,10 @@ _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
 
 @dataclass(frozen=True, slots=True)
 class _Bounds:
-    """Of the numbers of a kind, inclusive. words: what a cell must be."""
+    """Of the numbers of a kind, inclusive."""
 
     words: str
+    """What a cell must be."""
     least: float = -np.finfo(float).max
     most: float = np.finfo(float).max
     integer: bool = False

@@ -25,27 +25,27 @@ from sonarrec.truth.table import TruthTable
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The T landmarks in view of one log's processed frames.
-
-    frame_index: (T,) into ReadLog.frame. landmark_index: (T,) into the set's ids; the number of IDs
-    for a stranger. visible: (T,) share of the disc, 0 to 1. position: (T, 2) m in the fan plane, to
-    the right and ahead; None if not known. orientation: (T,) deg, as in estimates.csv; None without
-    the column. row: (T,) into the table. rows: number of rows of gt.csv on this log; of these
-    `unprocessed` are on frames that were not processed, `between` left out because a row with a
-    nearer time has the frame.
-    tolerance_ns: longest time from a row to its frame; None if rows name frames by number.
-    """
+    """The T landmarks in view of one log's processed frames."""
 
     frame_index: IntArray
+    """(T,) into ReadLog.frame."""
     landmark_index: IntArray
+    """(T,) into the set's ids; the number of IDs for a stranger."""
     visible: FloatArray
+    """(T,) share of the disc, 0 to 1."""
     position: FloatArray | None
+    """(T, 2) m in the fan plane, to the right and ahead; None if not known."""
     orientation: FloatArray | None
+    """(T,) deg, as in estimates.csv; None without the column."""
     row: IntArray
+    """(T,) into the table."""
     rows: int
+    """Number of rows of gt.csv on this log; of these `unprocessed` are on frames that were not
+    processed, `between` left out because a row with a nearer time has the frame."""
     unprocessed: int
     between: int
     tolerance_ns: float | None
+    """Longest time from a row to its frame; None if rows name frames by number."""
 
     def pixels(self, fan: Fan) -> FloatArray | None:
         """(T, 2) column and row in the fan image; None if positions are not known."""

@@ -31,21 +31,22 @@ Occupied = defaultdict[tuple[int, int], list[list[float]]]
 
 @dataclass(frozen=True, slots=True)
 class ProposedTrack:
-    """A track that declared an ID.
-
-    landmark: the ID it declared most often. frames: first and last. rows: number of rows proposed;
-    interpolated: how many of these are in gaps. best_score: along the track. left_out: why it is
-    not proposed; "" if it is.
-    """
+    """A track that declared an ID."""
 
     log: str
     track: int
     landmark: int
+    """The ID it declared most often."""
     frames: tuple[int, int]
+    """First and last."""
     rows: int
+    """How many rows are proposed."""
     interpolated: int
+    """How many of these are in gaps."""
     best_score: float
+    """Along the track."""
     left_out: str
+    """Why it is not proposed; empty if it is."""
 
 
 def propose(

@@ -45,28 +45,30 @@ _KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True, slots=True)
 class TruthTable:
-    """gt.csv as read: R rows.
-
-    key: the column that names the frame, "frame" or "timestamp_ns". keys: (R,) its values.
-    landmark: (R,) IDs; NONE for an object that is no landmark of the set: a stranger. visible: (R,)
-    share of the disc, 0 to 1. log: (R,) names. position: as tables.position_pair gives it.
-    pixel: (R, 2) column and row, NaN where blank, if position is in metres and deg and the table
-    has both. orientation: (R,) deg, NaN where blank. All are None without their columns. proposed:
-    (R,) whether `truth propose` wrote the row, by the column `source`. unread: other columns, and
-    the one that each may stand for, which the table lacks; empty: none.
-    """
+    """gt.csv as read: R rows."""
 
     path: Path
     key: str
+    """The column that names the frame, "frame" or "timestamp_ns"."""
     keys: IntArray
+    """(R,) its values."""
     landmark: IntArray
+    """(R,) IDs; NONE for an object that is no landmark of the set: a stranger."""
     visible: FloatArray
+    """(R,) share of the disc, 0 to 1."""
     log: Any
+    """(R,) names."""
     position: tuple[str, FloatArray, FloatArray] | None
+    """As tables.position_pair gives it."""
     pixel: FloatArray | None
+    """(R, 2) column and row, NaN where blank, if position is in metres and deg and the table has
+    both."""
     orientation: FloatArray | None
+    """(R,) deg, NaN where blank. All are None without their columns."""
     proposed: BoolArray
+    """(R,) whether `truth propose` wrote the row, by the column `source`."""
     unread: tuple[tuple[str, str], ...]
+    """Other columns, and the one that each may stand for, which the table lacks; empty: none."""
 
     def rows_of(self, name: str, *, strangers: bool = False) -> IntArray:
         """(n,) the rows on a log that name a landmark, or those on strangers; rising."""

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation.counts import with_rates
 from sonarrec.evaluation.figures import area, tpr_at
 from tests.evaluation.test_evaluation import paper_case
 from tests.support.claims import IDS, all_scored, counts, matched
@@ -50,8 +48,8 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
     for k, truth, value in [*cells, (None, positive.ravel(), points.ravel())]:
         curve = scored.curve(k)
         auc = metrics.roc_auc_score(truth, value)
-        assert area(curve.fpr.to_numpy(), curve.tpr.to_numpy()) == pytest.approx(auc, abs=1e-12)
-        assert curve.threshold[0] == math.inf
+        assert area(curve["fpr"], curve["tpr"]) == pytest.approx(auc, abs=1e-12)
+        assert curve["threshold"][0] == math.inf
 
 
 @settings(max_examples=50)
@@ -65,32 +63,27 @@ def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float
         for t in [*np.unique(value[value >= 0]), math.inf]
         if np.mean(value[~truth] >= t) <= most
     ]
-    assert tpr_at(curve.fpr.to_numpy(), curve.tpr.to_numpy(), most) == pytest.approx(
-        max(reached), abs=1e-12
-    )
+    assert tpr_at(curve["fpr"], curve["tpr"], most) == pytest.approx(max(reached), abs=1e-12)
 
 
-def curve_of(tp: list[int], fp: list[int], positives: int, negatives: int) -> pd.DataFrame:
-    tps, fps = np.array(tp), np.array(fp)
-    of = pd.DataFrame({"tp": tps, "tn": negatives - fps, "fp": fps, "fn": positives - tps})
-    return with_rates(of)
+def curve_of(
+    tp: list[int], fp: list[int], positives: int, negatives: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """FPR and TPR."""
+    return np.array(fp) / negatives, np.array(tp) / positives
 
 
 def test_areas_by_hand() -> None:
     perfect = curve_of([0, 10, 10], [0, 0, 50], 10, 50)
-    assert (
-        area(perfect.fpr.to_numpy(), perfect.tpr.to_numpy())
-        == tpr_at(perfect.fpr.to_numpy(), perfect.tpr.to_numpy(), 0)
-        == 1
-    )
+    assert area(*perfect) == tpr_at(*perfect, 0) == 1
     # Nothing is ever claimed: a guess.
     silent = curve_of([0], [0], 10, 50)
-    assert area(silent.fpr.to_numpy(), silent.tpr.to_numpy()) == 0.5
-    assert tpr_at(silent.fpr.to_numpy(), silent.tpr.to_numpy(), 0.05) == 0
+    assert area(*silent) == 0.5
+    assert tpr_at(*silent, 0.05) == 0
     # Half of the positives for nothing, then no more: a straight line from (0, .5) to (1, 1).
     half = curve_of([0, 5], [0, 0], 10, 50)
-    assert area(half.fpr.to_numpy(), half.tpr.to_numpy()) == 0.75
-    assert tpr_at(half.fpr.to_numpy(), half.tpr.to_numpy(), 0.05) == 0.5
+    assert area(*half) == 0.75
+    assert tpr_at(*half, 0.05) == 0.5
 
 
 @pytest.mark.slow

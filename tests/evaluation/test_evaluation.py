@@ -289,16 +289,16 @@ def test_counts_and_curves_equal_a_count_frame_by_frame(tmp_path_factory, seed: 
         assert list(counts(one)) == expected.sum(axis=0).tolist()
         for k in (0, 1, 2, 3, None):
             curve = one.curve(k)
-            assert curve.threshold[0] == math.inf
-            assert (np.diff(curve.threshold) < 0).all()  # ties are one point
-            for j, threshold in enumerate(curve.threshold):
+            assert curve["threshold"][0] == math.inf
+            assert (np.diff(curve["threshold"]) < 0).all()  # ties are one point
+            for j, threshold in enumerate(curve["threshold"]):
                 at = brute([c for c in estimates if c[5] >= threshold])
                 at = at.sum(axis=0) if k is None else at[k]
-                point = [curve.tp[j], curve.tn[j], curve.fp[j], curve.fn[j]]
+                point = [curve["tp"][j], curve["tn"][j], curve["fp"][j], curve["fn"][j]]
                 assert point == at.tolist()
             # Rates never fall as the threshold does.
-            assert not (np.diff(curve.tpr) < 0).any()
-            assert not (np.diff(curve.fpr) < 0).any()
+            assert not (np.diff(curve["tpr"]) < 0).any()
+            assert not (np.diff(curve["fpr"]) < 0).any()
 
 
 def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
@@ -318,18 +318,18 @@ def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
     for protocol in ("paper", "strict"):
         curve = scored(found, protocol).curve(0)
         fpr, tpr, thresholds = metrics.roc_curve(positive, score, drop_intermediate=False)
-        np.testing.assert_array_equal(curve.threshold, thresholds)
-        np.testing.assert_allclose(curve.tpr, tpr, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(curve.fpr, fpr, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(curve["threshold"], thresholds)
+        np.testing.assert_allclose(curve["tpr"], tpr, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(curve["fpr"], fpr, rtol=0, atol=1e-12)
         # What roc.csv keeps draws the same curve.
         at = corners(curve)
         assert len(at) < len(fpr)
-        assert metrics.auc(at.fpr, at.tpr) == pytest.approx(
+        assert metrics.auc(at["fpr"], at["tpr"]) == pytest.approx(
             metrics.roc_auc_score(positive, score), abs=1e-12
         )
         few = corners(curve, most=40)
         assert len(few) <= 42
-        assert metrics.auc(few.fpr, few.tpr) == pytest.approx(
+        assert metrics.auc(few["fpr"], few["tpr"]) == pytest.approx(
             metrics.roc_auc_score(positive, score), abs=0.03
         )
 

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from sonarrec.arrays import Table
-from sonarrec.evaluation.counts import TOTAL, Counts
+from sonarrec.evaluation.counts import TOTAL, Counts, Tally
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.rows import Matched, ScoringOptions
@@ -83,7 +82,7 @@ class Scored(NamedTuple):
         of_log = "" if log is None else self.counts.logs[log]
         return self.counts.count(self.method, self.protocol, landmark, of_log)
 
-    def curve(self, k: int | None = None) -> pd.DataFrame:
+    def curve(self, k: int | None = None) -> Table:
         """The ROC of the k-th ID, or of all."""
         landmark = TOTAL if k is None else str(self.counts.ids[k])
         return self.counts.curve(self.method, self.protocol, landmark)
@@ -96,10 +95,10 @@ def all_scored(of: Counts) -> list[Scored]:
 
 def counts(*logs: Matched) -> Counts:
     """The counts of logs."""
-    found = Counts()
+    tally = Tally()
     for log in logs:
-        found.add(log)
-    return found.finish([Path(f"log{n}") for n in range(len(logs))])
+        tally.add(log)
+    return tally.counts([Path(f"log{n}") for n in range(len(logs))])
 
 
 def evaluated(*logs: Matched) -> Evaluation:

@@ -58,17 +58,19 @@ class _DamagedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """The head of a chunk, and where its data are in the file. time: the first log time, ns. size:
-    bytes after inflation. start, stored: where its bytes begin in the file, and how many. end: of
-    the record."""
+    """The head of a chunk, and where its data are in the file."""
 
     time: int
+    """The first log time, ns."""
     size: int
+    """Bytes after inflation."""
     crc: int
     compression: str
     start: int
     stored: int
+    """start, stored: where its bytes begin in the file, and how many."""
     end: int
+    """Of the record."""
 
 
 class McapRecording(Recording):

@@ -76,13 +76,15 @@ _DIGITS = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class NamedTimes:
-    """The times of n names. ns: (n,) since 1970 in UTC, or since midnight. order: (n,) the names'
-    indices in the order of recording: by a counter in the names, else by the times. spread:
-    whether names have whole seconds, of which the frames are spread evenly."""
+    """The times of n names."""
 
     ns: IntArray
+    """(n,) since 1970 in UTC, or since midnight."""
     order: IntArray
+    """(n,) the names' indices in the order of recording: by a counter in the names, else by the
+    times."""
     spread: bool = False
+    """Whether names have whole seconds, of which the frames are spread evenly."""
 
 
 def times_in_names(stems: Sequence[str]) -> NamedTimes | None:

@@ -67,13 +67,13 @@ Scale = Literal["linear", "log", "db"]
 
 @dataclass(frozen=True, slots=True)
 class GreyScale:
-    """How the pixels of one log become grey; see the module. bounded: whether finite pixels below 0
-    or above full_scale are a fault, not black or white."""
+    """How the pixels of one log become grey; see the module."""
 
     pixel_scale: Scale
     full_scale: float
     dynamic_range_db: float
     bounded: bool = False
+    """Whether finite pixels below 0 or above full_scale are a fault, not black or white."""
 
     def as_table(self) -> dict[str, Any]:
         """The keys of the geometry that state this scale."""
@@ -253,20 +253,23 @@ def _rounded(values: np.ndarray, factor: float) -> ByteImage:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """How pixels become grey. in_colour: whether a frame was, and its map was looked for. off: the
-    distance of colours from the map in the first frame. strayed: whether a note was made
-    that colours are of another map. amplitudes: types of integers that hold them. scales: by type
-    of pixels, each from its first usable frame. usual: the mean grey level of echoes in the first
-    frame that shows something. is_reversed: whether a note was made that a frame is reversed."""
+    """How pixels become grey."""
 
     colour_map: str
     in_colour: bool = False
+    """Whether a frame was, and its map was looked for."""
     off: float | None = None
+    """The distance of colours from the map in the first frame."""
     strayed: bool = False
+    """Whether a note was made that colours are of another map."""
     amplitudes: frozenset[np.dtype[Any]] = frozenset()
+    """Types of integers that hold them."""
     scales: Mapping[np.dtype[Any], GreyScale] = field(default_factory=dict)
+    """By type of pixels, each from its first usable frame."""
     usual: float | None = None
+    """The mean grey level of echoes in the first frame that shows something."""
     is_reversed: bool = False
+    """Whether a note was made that a frame is reversed."""
 
 
 def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:

@@ -32,31 +32,32 @@ state another window with every ping, and it takes long to work out a layout for
 @dataclass(frozen=True, slots=True)
 class Stated:
     """What the user states of a log: the geometry, complete if frames do not state theirs; and
-    where, for messages. origin: what states the rest, "messages" or "headers". note: receives a
-    line on what was found out, or contradicts."""
+    where, for messages."""
 
     sonar: Sonar
     where: str
     origin: str
+    """What states the rest, "messages" or "headers"."""
     note: Callable[[str], None]
+    """Receives a line on what was found out, or contradicts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The geometry that the first usable frame decided, as far as it does not follow the pings.
-
-    shape: of the last frame. ping, polar: what it states, and how its pixels fill the fan; None of
-    images that do not state their geometry, and of fan images. order: of polar samples; None before
-    it is found. order_from: "found" or "assumed" if nobody stated it.
-    """
+    """The geometry that the first usable frame decided, as far as it does not follow the pings."""
 
     sonar: Sonar
     fan: Fan
     shape: tuple[int, int]
+    """Of the last frame's pixels."""
     polar: PolarToFan | None = None
+    """How its pixels fill the fan; None of fan images."""
     ping: PingGeometry | None = None
+    """What it states; None of images that do not state their geometry."""
     order: BeamOrder | None = None
+    """Of polar samples; None before it is found."""
     order_from: str | None = None
+    """Either "found" or "assumed" if nobody stated it."""
 
 
 def arranged(

@@ -24,11 +24,12 @@ from sonarrec.sonar import Sonar
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is known of a log. layout: None before the first usable frame."""
+    """What is known of a log."""
 
     stated: Stated
     levels: Levels
     layout: Layout | None = None
+    """None before the first usable frame."""
 
     @property
     def sonar(self) -> Sonar:

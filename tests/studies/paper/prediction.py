@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.evaluation.counts import COUNTS, Counts
+from sonarrec.evaluation.counts import COUNTS, Counts, Tally
 from sonarrec.evaluation.plots import PUBLISHED
 from sonarrec.evaluation.rows import Matched
 from sonarrec.evaluation.uncertainty import coin_tosses
@@ -152,10 +152,10 @@ def record(job: Job) -> None:
 
 def summed(logs: Sequence[Matched], folders: Sequence[Path]) -> Counts:
     """The rates over some results."""
-    found = Counts(rates_only=True)
+    tally = Tally(rates_only=True)
     for log in logs:
-        found.add(log)
-    return found.finish(folders)
+        tally.add(log)
+    return tally.counts(folders)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +180,9 @@ class Group:
         """(worlds, recordings, seeds, K, 4) TP, TN, FP, FN."""
         each = []
         for world in self.worlds:
-            table = world.confusion.sort_index().loc[(METHODS.get(method, method), how)]
-            order = [(log, landmark) for log in world.logs for landmark in world.landmarks[:-1]]
-            each.append(table.loc[order, COUNTS].to_numpy())
+            of = (METHODS.get(method, method), how)
+            cells = [(log, landmark) for log in world.logs for landmark in world.landmarks[:-1]]
+            each.append([world.confusion[*of, *cell][: len(COUNTS)] for cell in cells])
         return np.reshape(each, (len(each), len(self.jobs[0]), -1, len(IDS), len(COUNTS)))
 
     def rates(self, method: str, how: str) -> FloatArray:
@@ -200,7 +200,7 @@ class Group:
     def tpr_at(self, method: str, how: str, fpr: float) -> FloatArray:
         """(worlds,) the highest TPR of each world's ROC up to this FPR."""
         curves = (world.curve(METHODS.get(method, method), how) for world in self.worlds)
-        return np.array([curve.tpr[curve.fpr <= fpr].max() for curve in curves])
+        return np.array([curve["tpr"][curve["fpr"] <= fpr].max() for curve in curves])
 
 
 def rates_of(counts: IntArray) -> FloatArray:
@@ -386,11 +386,11 @@ def draw_roc(path: Path, pooled: Counts, worlds: Sequence[Counts]) -> None:
             for n, world in enumerate(worlds):
                 curve = world.corners(METHODS[name], protocol)
                 label = None if n else f"{name}, a world"
-                axes.plot(curve.fpr, curve.tpr, color=colour, lw=0.5, alpha=0.3, label=label)
+                axes.plot(curve["fpr"], curve["tpr"], color=colour, lw=0.5, alpha=0.3, label=label)
             curve, point = (of(METHODS[name], protocol) for of in (pooled.corners, pooled.count))
             label = f"{name}, all worlds; its operating point"
             style = {"marker": "o", "mec": "black", "mew": 0.5, "ms": 7}
-            axes.plot(curve.fpr, curve.tpr, color=colour, lw=2.4)
+            axes.plot(curve["fpr"], curve["tpr"], color=colour, lw=2.4)
             axes.plot(point.fpr, point.tpr, color=colour, lw=2.4, label=label, **style)
         # A root shows the low rates without cutting off any other.
         axes.set_xscale("function", functions=(np.sqrt, np.square))
@@ -570,7 +570,7 @@ def beside(group: Group) -> dict[str, object]:
     told["worlds that miss the search's limits on these recordings"] = beyond_limits(group)
     for name, fpr, tpr in PUBLISHED:
         curve = group.pooled.curve(METHODS[name], "paper")
-        reached = float(curve.tpr[curve.fpr <= fpr].max())
+        reached = float(curve["tpr"][curve["fpr"] <= fpr].max())
         told[f"{name}, TPR at the published FPR of {fpr} (published {tpr})"] = round(reached, 4)
     return told
 
