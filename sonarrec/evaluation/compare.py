@@ -157,8 +157,8 @@ def compare(
     old, new : str or Path
         Folders of results. Their logs are paired by name; if each holds one log, these are paired.
     ground_truth : str, Path or sequence of Pair, optional
-        One table for all logs, or pairs that name a truth for each. Default: NAME.gt.csv, or
-        gt.csv, in the folder of each log.
+        One table for all logs, a folder with NAME.gt.csv of each, or pairs. Default: NAME.gt.csv,
+        or gt.csv, in the folder of each log.
     options : ScoringOptions, optional
         How results are scored, in place of `scoring`.
     pairs : str or Path, optional
@@ -185,7 +185,8 @@ def compare(
     ground_truth = Path(ground_truth) if isinstance(ground_truth, str) else ground_truth
     ground_truth = read_pairs(Path(pairs)) if pairs else ground_truth
     logs = _logs(pair_up(old, new, diagnostics), ground_truth, diagnostics)
-    one_truth_of = new if isinstance(ground_truth, Path) else None
+    is_one = isinstance(ground_truth, Path) and not ground_truth.is_dir()
+    one_truth_of = new if is_one else None
     return _compared((old, new), logs, options, diagnostics, one_truth_of)
 
 
@@ -264,6 +265,8 @@ def _logs(
     """The logs of these old and new folders that have a truth, by name; others are problems."""
     if ground_truth is None:
         pairs: Sequence[Pair] = find_truths([now for _, now in folders], diagnostics)
+    elif isinstance(ground_truth, Path) and ground_truth.is_dir():
+        pairs = find_truths([now for _, now in folders], diagnostics, ground_truth)
     elif isinstance(ground_truth, Path):
         pairs = [Pair(now, ground_truth) for _, now in folders]
     else:

@@ -337,7 +337,8 @@ def evaluate(
     results : str or Path, default "sonarrec_out"
         The folder of one log's results, or a folder of such folders.
     ground_truth : str or Path, optional
-        One table for all logs. Default: NAME.gt.csv, or gt.csv, in the folder of each log.
+        One table for all logs, or a folder with NAME.gt.csv of each. Default: NAME.gt.csv, or
+        gt.csv, in the folder of each log.
     pairs : str or Path, optional
         A CSV that names results and truth of each log, in place of `results` and `ground_truth`.
     method : str or sequence of str, optional
@@ -399,6 +400,8 @@ def evaluate_logs(
         pairs = usable_pairs(results, diagnostics)
     elif ground_truth is None:
         pairs = find_truths(find_logs(Path(results)), diagnostics)
+    elif Path(ground_truth).is_dir():
+        pairs = find_truths(find_logs(Path(results)), diagnostics, Path(ground_truth))
     else:
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]

@@ -150,6 +150,7 @@ def test_a_truth_and_what_it_lacks(ran: Path, tmp_path: Path) -> None:
         "y_px",
         "visible",
         "orientation_deg",
+        "track",
         "source",
     ]
     listed = [(p["landmark"], p["rows"][0]["frame"], p["state"], p["why"]) for p in found["passes"]]
@@ -226,10 +227,10 @@ def test_a_folder_of_logs_has_a_page_each(tmp_path: Path) -> None:
     sonarrec("run", logs / "a.mcap", logs / "b.mcap", *few)
     where = ("--results", tmp_path / "out", "-o", tmp_path / "pages")
     done = sonarrec("truth", "review", logs, *where, code=3)  # c has no results
-    assert len(done.stdout.splitlines()) == 2
+    assert len(done.stdout.splitlines()) == 3  # and the start page
     assert str(logs / "c.mcap") in done.stderr
     for name in ("a", "b"):
-        page = tmp_path / "pages" / f"{name}.mcap.html"
+        page = tmp_path / "pages" / f"{name}.html"
         assert f"<h1>{name}</h1>" in page.read_text()
         found = data_of(page)
         assert (found["first"], found["frames"], len(found["images"])) == (30, 12, 12)
@@ -296,20 +297,26 @@ class Page:
         from selenium.webdriver import ActionChains
 
         svg = self.browser.find_element("id", "marks")
-        box = self.browser.execute_script(
-            "const b = arguments[0].getBoundingClientRect(); return [b.width, b.height]", svg
-        )
-        scale = float(box[0]) / int(self.browser.execute_script("return fan.columns"))
-        at = round((x + 0.5) * scale - box[0] / 2), round((y + 0.5) * scale - box[1] / 2)
+        left, top, width, height, scale = self.screen()
+        at = round(left + x * scale - width / 2), round(top + y * scale - height / 2)
         act = ActionChains(self.browser).move_to_element_with_offset(svg, *at).click_and_hold()
         if any(drag):
             act = act.move_by_offset(*(round(v * scale) for v in drag))
         act.release().perform()
         return scale
 
+    def screen(self) -> tuple[float, ...]:
+        """In the box of the frame where its pixel 0, 0 is; the box's sides; screen pixels a pixel."""
+        found: list[float] = self.browser.execute_script(
+            "const svg = document.getElementById('marks'), box = svg.getBoundingClientRect();"
+            "const m = svg.getScreenCTM();"
+            "return [m.e - box.left, m.f - box.top, box.width, box.height, m.a]"
+        )
+        return tuple(found)
+
     def save(self) -> Path:
         """What is downloaded."""
-        file = self.downloads / "gt.csv"
+        file = self.downloads / self.browser.execute_script("return data.gt_name")
         file.unlink(missing_ok=True)
         self.press("s")
         for _ in range(200):
@@ -370,7 +377,7 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     by_program = share_in_image(fan, *polar_from_pixel(fan, *np.array([*made.values()]).T), 0.15)
     visible = np.array([float(row["visible"]) for row in rows])
     assert np.abs(visible - by_program).max() < 0.03
-    saved = page.downloads / "gt.csv"
+    saved = page.downloads / "dive.gt.csv"
     sonarrec("truth", "check", saved, folder / "dive")
     results = ran / "out" / "dive"
     printed = [
@@ -437,7 +444,9 @@ def test_the_page_fits_and_is_legible(browser: Any, ran: Path, tmp_path: Path, w
     assert min(contrast(colour, page) for colour in text) >= 4.5
     acts, keys = browser.execute_script("return [Object.keys(acts), Object.keys(keys)]")
     assert not set(acts) - set(
-        browser.execute_script("return [...Object.values(keys), 'reopen', 'take', 'leave']")
+        browser.execute_script(
+            "return [...Object.values(keys), 'reopen', 'take', 'leave', 'log', 'again']"
+        )
     )
     listed = browser.execute_script(
         "return [...document.querySelectorAll('dl kbd')].map(k => k.textContent)"
@@ -613,6 +622,8 @@ def test_a_truth_goes_out_as_it_came(browser: Any, ran: Path, tmp_path: Path) ->
     page = Page(browser, review(folder, "--truth", truth), tmp_path)
     came, saved = read_rows(truth), read_rows(page.save())
     assert all(row.pop("source") == "" for row in saved)
+    for row in saved:
+        row.pop("track", None)
     order = [tuple(row.items()) for row in came]
     assert sorted(tuple(row.items()) for row in saved) == sorted(order)
     times = {
@@ -627,7 +638,7 @@ def test_a_truth_goes_out_as_it_came(browser: Any, ran: Path, tmp_path: Path) ->
     truth.write_text("\n".join(lines) + "\n")
     page = Page(browser, review(folder, "--truth", truth), tmp_path)
     saved = read_rows(page.save())
-    assert list(saved[0]) == ["frame", "landmark", "x_px", "y_px", "visible", "source"]
+    assert list(saved[0]) == ["frame", "landmark", "x_px", "y_px", "visible", "track", "source"]
     for row in saved:
         place = truth_rows()[int(row["landmark"])][int(row["frame"])]
         assert np.abs(np.subtract((float(row["x_px"]), float(row["y_px"])), place)).max() < 0.02
@@ -640,12 +651,11 @@ def test_by_touch(browser: Any, ran: Path, tmp_path: Path) -> None:
     one = truth_rows()[1]
     folder = with_tracks(ran, tmp_path / "w", [(1, {n: one[n] for n in range(40)}, 0.99)])
     page = Page(browser, review(folder), tmp_path, 420)
-    left, top, width = browser.execute_script(
-        "const b = document.getElementById('marks').getBoundingClientRect();"
-        "return [b.left, b.top, b.width]"
+    left, top = browser.execute_script(
+        "const b = document.getElementById('marks').getBoundingClientRect();return [b.left, b.top]"
     )
-    scale = width / browser.execute_script("return fan.columns")
-    x, y = left + (one[0][0] + 0.5) * scale, top + (one[0][1] + 0.5) * scale
+    across, down, _, _, scale = page.screen()
+    x, y = left + across + one[0][0] * scale, top + down + one[0][1] * scale
 
     def touch(kind: str, *points: tuple[float, float]) -> None:
         of = {
