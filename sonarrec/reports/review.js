@@ -132,19 +132,19 @@ function fold() {
   spots = onOneSpot();
 }
 
-/** What of some in a frame, by frame, is within a distance of a pixel; it is added to them. */
-function near(byFrame, { frame, x, y }, landmark, distance, id) {
+/** Of the outlines kept by frame those within a distance of this one, which is added to them. */
+function near(byFrame, { frame, x, y, made }, landmark, distance) {
   const floor = floorFromPixel(fan, x, y), others = byFrame.get(frame) ?? [];
-  const found = others.find((one) => Math.hypot(one.floor[0] - floor[0], one.floor[1] - floor[1]) < distance);
-  byFrame.set(frame, [...others, { landmark, floor, id }]);
-  return found;
+  byFrame.set(frame, [...others, { landmark, floor, made }]);
+  return others.filter((one) => Math.hypot(one.floor[0] - floor[0], one.floor[1] - floor[1]) < distance);
 }
 
 /** By pass that would be saved, a warning if it is within half a radius of another in a frame. */
 function onOneSpot() {
   const byFrame = new Map(), found = new Map();
   for (const { id, landmark, rows } of passes.filter(isSaved)) for (const one of rows) {
-    const other = near(byFrame, one, landmark, radius_m / 2, id);
+    const isOther = (each) => each.landmark !== landmark || !(each.made || one.made); // two of one ID are saved once
+    const other = near(byFrame, one, landmark, radius_m / 2).find(isOther);
     if (other && !found.has(id)) found.set(id, `on the same spot as ${called(other.landmark)} in frame ${one.frame}`);
   }
   return found;
@@ -187,22 +187,25 @@ function back(from, to, text) {
 function csv() {
   const cell = (text) => (/[",\r\n]|^\s/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const lines = data.kept.map(([frame, cells]) => [frame ?? FAR, 0, cells]), track = data.header.indexOf("track");
-  const taken = new Map(), used = new Set(), given = passes.flatMap((pass) => pass.rows.map((one) => Number(one.cells?.[track]) || 0));
-  let number = given.reduce((a, b) => Math.max(a, b), 0);
-  for (const pass of [...passes].sort((a, b) => (a.state === "rejected") - (b.state === "rejected"))) {
-    const { state, rows } = pass, landmark = state === "rejected" ? "none" : pass.landmark, reach = landmark === "none" ? radius_m : 0;
-    if (!isSaved(pass) && state !== "rejected") continue;
-    const own = rows.find((one) => one.cells)?.cells[track], name = own && !used.has(`${landmark} ${own}`) ? own : ++number;
-    used.add(`${landmark} ${name}`);
-    for (const one of rows.filter((each) => each.visible > 0 || !each.moved)) {
-      const { frame, x, y, visible } = one, values = { landmark, track: name }, other = near(taken, one, landmark, reach);
-      if (other?.landmark === "none") continue; // it is there already
-      if (one.moved) Object.assign(values, { frame, x_px: x.toFixed(2), y_px: y.toFixed(2), visible: visible.toFixed(3) });
-      if (one.moved || state !== "open") values.source = "";
-      if (other) values.visible = 0; // a landmark is there, but not this one: such a row teaches nothing
-      const came = one.cells ?? data.header.map((column) => (column === "log" ? data.log : ""));
-      lines.push([one.frame, pass.landmark ?? FAR, data.header.map((column, n) => String(values[column] ?? came[n]))]);
-    }
+  const taken = new Map(), used = new Map(), rows = passes.flatMap((pass) => pass.rows.map((one) => [pass, one]));
+  let number = rows.reduce((most, [, { cells }]) => Math.max(most, Number(cells?.[track]) || 0), 0);
+  const rank = ([{ state }, { made }]) => (state === "rejected" ? 2 : made ? 1 : 0);
+  for (const [pass, one] of rows.sort((a, b) => rank(a) - rank(b))) {
+    const { id, state } = pass, isNone = state === "rejected", landmark = isNone ? "none" : pass.landmark;
+    const { frame, x, y, visible, moved: isMoved, cells } = one;
+    if (!(isSaved(pass) || isNone) || (isMoved && !visible)) continue;
+    // Of two on one spot that say the same the first is saved. Where a landmark is, but not the one that was
+    // rejected, the row teaches nothing.
+    const others = near(taken, one, landmark, radius_m).filter((other) => isNone || (other.landmark === landmark && (other.made || one.made)));
+    if (others.some((other) => other.landmark === landmark)) continue;
+    const free = (name) => ![...used].some(([of, taken]) => of !== id && taken === `${landmark} ${name}`);
+    if (!used.has(id)) used.set(id, `${landmark} ${cells?.[track] && free(cells[track]) ? cells[track] : ++number}`);
+    const values = { landmark, track: used.get(id).split(" ")[1] };
+    if (isMoved) Object.assign(values, { frame, x_px: x.toFixed(2), y_px: y.toFixed(2), visible: visible.toFixed(3) });
+    if (isMoved || state !== "open") values.source = "";
+    if (others.length) values.visible = 0;
+    const came = cells ?? data.header.map((column) => (column === "log" ? data.log : ""));
+    lines.push([frame, pass.landmark ?? FAR, data.header.map((column, n) => String(values[column] ?? came[n]))]);
   }
   lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   return [data.header, ...lines.map((line) => line[2])].map((cells) => cells.map(cell).join(",") + "\n");

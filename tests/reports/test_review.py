@@ -24,10 +24,11 @@ from sonarrec.geometry import (
 )
 from sonarrec.results.read import read_log
 from sonarrec.truth.match import share_in_image
-from tests.support.browser import COLOURS, contrast, look
+from tests.support.browser import COLOURS, contrast
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.pages import as_written
+from tests.support.review_page import Page
 from tests.support.rows import read_rows
 
 ENTER, RIGHT = "\ue007", "\ue014"
@@ -248,84 +249,6 @@ def test_nothing_but_an_older_page_is_replaced(ran: Path, tmp_path: Path) -> Non
 # In a browser
 
 
-class Page:
-    """A page in the browser, used as a person uses it."""
-
-    def __init__(
-        self, browser: Any, page: Path, downloads: Path, width: int = 1400, *, again: bool = False
-    ) -> None:
-        """again: with what the browser has kept of earlier pages."""
-        self.browser, self.page, self.downloads = browser, page, downloads
-        where = {"behavior": "allow", "downloadPath": str(downloads)}
-        browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
-        self.faults = look(browser, page, width, "dark")
-        if not again:
-            browser.execute_script("localStorage.clear()")
-            self.faults = look(browser, page, width, "dark")
-
-    def press(self, *keys: str) -> None:
-        from selenium.webdriver import ActionChains
-
-        ActionChains(self.browser).send_keys(*keys).perform()
-
-    def text(self, part: str) -> str:
-        return str(self.browser.find_element("id", part).get_attribute("textContent"))
-
-    @property
-    def passes(self) -> list[list[Any]]:
-        """ID, first and last frame, state of each."""
-        of = "[p.landmark, p.rows[0].frame, p.rows.at(-1).frame, p.state]"
-        found: list[list[Any]] = self.browser.execute_script(f"return passes.map(p => {of})")
-        return found
-
-    def choose(self, landmark: int, first: int) -> None:
-        """Click the pass in the list."""
-        ids = "passes.find(p => p.landmark === arguments[0] && p.rows[0].frame === arguments[1]).id"
-        made = self.browser.execute_script(f"return {ids}", landmark, first)
-        self.browser.find_element("css selector", f'#list [data-pass="{made}"]').click()
-
-    def go(self, frame: int) -> None:
-        """By the arrows."""
-        from selenium.webdriver.common.keys import Keys
-
-        now = int(self.browser.execute_script("return now"))
-        self.press(*[Keys.ARROW_RIGHT if frame > now else Keys.ARROW_LEFT] * abs(frame - now))
-        assert self.text("title") == f"Frame {frame}"
-
-    def pointer(self, x: float, y: float, *, drag: tuple[float, float] = (0, 0)) -> float:
-        """Press at a pixel of the fan, and drag by so many; returns screen pixels a pixel."""
-        from selenium.webdriver import ActionChains
-
-        svg = self.browser.find_element("id", "marks")
-        left, top, width, height, scale = self.screen()
-        at = round(left + x * scale - width / 2), round(top + y * scale - height / 2)
-        act = ActionChains(self.browser).move_to_element_with_offset(svg, *at).click_and_hold()
-        if any(drag):
-            act = act.move_by_offset(*(round(v * scale) for v in drag))
-        act.release().perform()
-        return scale
-
-    def screen(self) -> tuple[float, ...]:
-        """In the box of the frame where its pixel 0, 0 is; the box's sides; screen pixels a pixel."""
-        found: list[float] = self.browser.execute_script(
-            "const svg = document.getElementById('marks'), box = svg.getBoundingClientRect();"
-            "const m = svg.getScreenCTM();"
-            "return [m.e - box.left, m.f - box.top, box.width, box.height, m.a]"
-        )
-        return tuple(found)
-
-    def save(self) -> Path:
-        """What is downloaded."""
-        file = self.downloads / self.browser.execute_script("return data.gt_name")
-        file.unlink(missing_ok=True)
-        self.press("s")
-        for _ in range(200):
-            if file.exists() and file.stat().st_size:
-                return file
-            time.sleep(0.02)
-        raise AssertionError(self.text("say"))
-
-
 @pytest.mark.slow
 def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -> None:
     """Each kind of decision once; the file holds them, and scores as truth made by hand."""
@@ -358,7 +281,11 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     assert page.passes == expected
     browser.refresh()
     assert page.passes == expected
-    rows = read_rows(page.save())
+    everything = read_rows(page.save())
+    rows = [row for row in everything if row["landmark"] != "none"]
+    stone = [row for row in everything if row["landmark"] == "none"]
+    assert [int(row["frame"]) for row in stone] == [*range(60, 80)]
+    assert {(row["x_px"], row["source"]) for row in stone} == {("95.00", "")}
     assert "No pass is open" in page.text("say")
     assert "same spot" not in page.text("left")
     made = {
