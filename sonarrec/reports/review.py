@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import dist
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +46,7 @@ from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     LogResults,
     check_same_log,
+    of_methods,
     read_estimates,
     read_log,
     why_incomplete,
@@ -63,7 +64,8 @@ ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
 PICTURE_PX = 64  # of a pass in the list, and of its mean picture
 SHOWN = 1.3  # radii from the middle to the edge of a mean picture
-MOST_ADDED = 200  # frames in one
+MOST_ADDED = 40  # frames in one
+IMAGES = '"images":{"":""'  # where they go in the page, so that they are held once
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
 """Columns of a truth in place of which others are saved, since two could contradict each other."""
 
@@ -158,6 +160,7 @@ def review(
             f"{folder}: its run.toml does not state the sonar's geometry; run again"
         )
     method = method or leading(found.methods)
+    found = of_methods(found, [method])
     truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     diagnostics.problem(*why_incomplete(found, "shown"))
@@ -181,7 +184,12 @@ def review(
     lowest = min((one.belief for one in unsure), default=None)
     counts = len(frames.numbers), len(passes), len(unsure), lowest
     summary = Summary(found.name, out.name, _key(found, folder, truth), gt_name, *counts)
-    write_page(out, _page(found, summary, (start, following), truth, frames, table, passes, folder))
+    page = _page(found, summary, (start, following), truth, frames, table, passes, folder)
+    head, tail = page.split(IMAGES)
+    parts = [head, '"images":{']
+    for k, (n, image) in enumerate(frames.images.items()):
+        parts += ["," * bool(k), f'"{n}":"', image, '"']
+    write_page(out, *parts, tail)
     size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
     opened = f"{number_of(len(passes), 'pass', 'es')}, {len(unsure)} open"
     return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", summary, diagnostics
@@ -309,17 +317,20 @@ def _split(
     has not ended, in its stretch. stretch: the number of each frame's. is_one: the rows have one
     number of a track, so that only their stretch ends a pass."""
     passes: list[list[_Row]] = []
+    going: list[list[_Row]] = []
     for row in rows:
-        here = (p for p in passes if stretch[p[-1].frame] == stretch[row.frame])
         going = [
             p
-            for p in here
-            if p[-1].frame < row.frame and (is_one or not ended(p[-1].frame, row.frame))
+            for p in going
+            if stretch[p[-1].frame] == stretch[row.frame]
+            and (is_one or not ended(p[-1].frame, row.frame))
         ]
-        if going:
-            min(going, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
+        free = [p for p in going if p[-1].frame < row.frame]
+        if free:
+            min(free, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
         else:
             passes.append([row])
+            going.append(passes[-1])
     return passes
 
 
@@ -425,6 +436,7 @@ class _Frames:
         if not wanted:
             raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
+        held = 0
         rows = sum(len(one.rows) for one in passes)
         room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
         seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
@@ -455,10 +467,12 @@ class _Frames:
                     step *= 2
             if order % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
+                held += len(self.images[frame.index])
             order += 1
-            while sum(map(len, self.images.values())) > room and len(self.images) > 1:
+            while held > room and len(self.images) > 1:
                 step *= 2
                 self.images = dict([*self.images.items()][::2])
+                held = sum(map(len, self.images.values()))
         for one in passes:
             low, high = np.percentile(sums[one.id], (1, 99))
             levels = np.clip(255 * (sums[one.id] - low) / max(high - low, 1), 0, 255)
@@ -536,10 +550,15 @@ def _page(
     passes: Sequence[_Pass],
     folder: Path,
 ) -> str:
-    """The whole page as HTML. links: to the start page and to the next log, or empty."""
+    """The whole page as HTML, with IMAGES where these go. links: to the start page and to the next
+    log, or empty."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
-    made = [asdict(one) | {"rows": [row._asdict() for row in one.rows]} for one in passes]
+    names = [each.name for each in fields(_Pass)]
+    made = [
+        {name: getattr(one, name) for name in names} | {"rows": [row._asdict() for row in one.rows]}
+        for one in passes
+    ]
     data = {
         "key": summary.key,
         "page": hashlib.sha256(json.dumps([table.header, made]).encode()).hexdigest(),
@@ -552,7 +571,7 @@ def _page(
         "first": frames.numbers.start,
         "frames": len(frames.numbers),
         "damaged": frames.damaged,
-        "images": frames.images,
+        "images": {"": ""},
         "poses": _poses(folder),
         "passes": made,
         **asdict(table),

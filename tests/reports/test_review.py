@@ -319,7 +319,7 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     page.press(ENTER)
     page.save()
     for part in ("left", "say"):
-        assert "ID.1 and ID.4 are accepted on the same spot in frame 20" in page.text(part)
+        assert "ID.4 is on the same spot as ID.1 in frame 20" in page.text(part)
     page.press("u")
     assert "same spot" not in page.text("left")
 
