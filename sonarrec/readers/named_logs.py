@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.errors import UsageError
 from sonarrec.readers.containers.bag_folder import is_bag_folder
 from sonarrec.readers.containers.images import is_array, is_image
-from sonarrec.readers.open import find_log, is_log_file, matches, not_read
+from sonarrec.readers.open import is_log_file, matches, not_read
 from sonarrec.tables import natural_order
 
 RESULTS = frozenset({"frames.csv", "evaluation.json", "map.csv"})
@@ -44,12 +44,9 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
 def logs_of(name: str) -> list[NamedLog]:
     """The logs of an argument that may be a campaign: as `logs_named`, and of a folder that is no
     log and holds none also those below it, such as folders of images."""
-    logs = logs_named(name)
-    try:
-        find_log(logs[0].path)
-    except SonarrecError:
-        return logs_named(name, recursive=True)
-    return logs
+    path = Path(name)
+    is_folder = path.is_dir() and not _is_bag(path)
+    return logs_named(name, recursive=is_folder and not _in_folder(path))
 
 
 def unread_below(name: str, *, recursive: bool = False) -> str:

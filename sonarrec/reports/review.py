@@ -64,7 +64,7 @@ ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
 PICTURE_PX = 64  # of a pass in the list, and of its mean picture
 SHOWN = 1.3  # radii from the middle to the edge of a mean picture
-MOST_ADDED = 40  # frames in one
+MOST_ADDED = 20  # frames in one
 IMAGES = '"images":{"":""'  # where they go in the page, so that they are held once
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
 """Columns of a truth in place of which others are saved, since two could contradict each other."""
@@ -439,7 +439,9 @@ class _Frames:
         held = 0
         rows = sum(len(one.rows) for one in passes)
         room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
-        seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
+        seen, step, span = set[int](), 1, found.run.span() or (0, None)
+        rank = {n: k for k, n in enumerate(sorted(wanted))}
+        passed_over = {-1}  # not empty, since it is filled once the first frame is there
         middles = defaultdict[int, list[tuple[_Pass, _Row]]](list)
         to_add = defaultdict[int, list[tuple[_Pass, _Row]]](list)
         sums = {one.id: np.zeros((PICTURE_PX, PICTURE_PX), np.float32) for one in passes}
@@ -450,11 +452,11 @@ class _Frames:
             turned = [row for row in one.rows if row.frame in one.turns] or best
             for row in turned[:: -(-len(turned) // MOST_ADDED)]:
                 to_add[row.frame].append((one, row))
-        for frame in log.within(span):
-            seen.append(frame.index)
-            for one, row in middles[frame.index]:
+        for frame in log.within(span, passed_over):
+            seen.add(frame.index)
+            for one, row in middles.get(frame.index, ()):
                 one.picture = _picture(frame, row, found.landmarks.radius_m)
-            for one, row in to_add[frame.index]:
+            for one, row in to_add.get(frame.index, ()):
                 turn = one.turns.get(row.frame, 0)
                 sums[one.id] += _upright(frame, row, turn, found.landmarks.radius_m)
             if frame.index not in wanted:
@@ -465,19 +467,21 @@ class _Frames:
                 quality = next((q for q in QUALITIES if sizes[q] <= room), QUALITIES[-1])
                 while sizes[quality] / step > 1.1 * max(room, 1) and step < len(wanted):
                     step *= 2
-            if order % step == 0:
+                kept = {n for n in wanted if rank[n] % step == 0}
+                passed_over |= {*found.frame.tolist()} - kept - {*middles} - {*to_add}
+            if rank[frame.index] % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
                 held += len(self.images[frame.index])
-            order += 1
             while held > room and len(self.images) > 1:
                 step *= 2
-                self.images = dict([*self.images.items()][::2])
+                self.images = {n: uri for n, uri in self.images.items() if rank[n] % step == 0}
                 held = sum(map(len, self.images.values()))
         for one in passes:
             low, high = np.percentile(sums[one.id], (1, 99))
             levels = np.clip(255 * (sums[one.id] - low) / max(high - low, 1), 0, 255)
             one.mean = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
-        last = log.frame_count or seen[-1] + 1
+        seen |= {*found.frame.tolist()}  # the run could read those that were passed over
+        last = log.frame_count or max(seen) + 1
         self.numbers = range(span[0], min(last, span[1] or last))
         self.damaged = sorted({*self.numbers} - {*seen})
 
