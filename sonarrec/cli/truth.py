@@ -23,7 +23,7 @@ from sonarrec.cli.groups import (
     in_input,
     in_scoring,
 )
-from sonarrec.errors import MissingError, UsageError, number_of
+from sonarrec.errors import SonarrecError, UsageError, number_of
 
 NEW = "A new file; an existing one is not overwritten."
 MOST_FAULTS = 20
@@ -140,7 +140,7 @@ def check(
     """Find errors in GT.CSV, the ground truth of LOG.
 
     GT.CSV may be a folder that holds NAME.gt.csv of each log, and LOG a folder of logs. With LOG
-    alone the truth is that beside each log.
+    alone the truth is that in or next to each log.
     It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
     fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
     landmarks that overlap or change their ID, and jumps that no turn of the sonar explains.
@@ -159,13 +159,21 @@ def check(
     from sonarrec.runs.prepare import chosen_landmarks
     from sonarrec.truth.check import check_truth
 
-    is_faulty = False
-    for path, of in _truths(ground_truth, log):
-        landmark_set, _ = chosen_landmarks(find_log(of), landmarks, read_run(None))
-        with open_log(of, **reading) as opened:
-            rows, faults, diagnostics = check_truth(
-                path, opened, landmark_set, max_pan_deg=max_pan_deg
-            )
+    is_faulty, unread = False, list[SonarrecError]()
+    pairs = _truths(ground_truth, log)
+    for path, of in pairs:
+        try:
+            landmark_set, _ = chosen_landmarks(find_log(of), landmarks, read_run(None))
+            with open_log(of, **reading) as opened:
+                rows, faults, diagnostics = check_truth(
+                    path, opened, landmark_set, max_pan_deg=max_pan_deg
+                )
+        except SonarrecError as error:  # of several logs it costs this one
+            unread.append(error)
+            if len(unread) == len(pairs):
+                raise
+            print_notes([f"{error}; not checked"])
+            continue
         lines, counts = list[str](), Counter[str]()
         for fault in faults:
             counts[fault.kind] += 1
@@ -181,17 +189,19 @@ def check(
         say(*lines)
         print_notes((), diagnostics.notes)
         is_faulty |= bool(faults or diagnostics.problems)
-    if is_faulty:
+    if is_faulty or unread:
         leave(PARTLY)
 
 
 def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
-    """Each truth to check, and its log. given: as GT.CSV; without a log the logs themselves. Raises
-    MissingError if a log has no truth."""
+    """Each truth to check, and its log. given: as GT.CSV; without a log the logs themselves. The
+    truth may be a file that is not there."""
     from sonarrec.readers.named_logs import logs_of
     from sonarrec.readers.open import find_log, own_file
     from sonarrec.truth.table import TRUTH_FILE
 
+    if log is None and given.suffix == ".csv":
+        raise UsageError(f"{given}: name the log that it is the truth of, too")
     if log is not None and given.is_file():
         return [(given, log)]
     found = []
@@ -199,10 +209,7 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
         source = find_log(one.path)
         own = own_file(source.location, TRUTH_FILE).name
         truth = source.companion(TRUTH_FILE) if log is None else given / own
-        if truth is None or not truth.is_file():
-            where = "in or beside it" if log is None else f"in {given}"
-            raise MissingError(f"{one.path}: no {own} {where}; `truth review` makes one")
-        found.append((truth, one.path))
+        found.append((truth or source.location.parent / own, one.path))
     return found
 
 
@@ -298,14 +305,16 @@ def review(
 
     It is one HTML file for the browser, which needs no network. It shows each pass of a landmark,
     as the results and a gt.csv have it, the uncertain ones first. You accept it, reject it, give it
-    another ID, drag its outline, or draw what is missing; its button Save gives gt.csv. LOG may be
-    its results, or a folder of logs or of results: then each has a page.
+    another ID, drag its outline, or draw what is missing; its button Save gives NAME.gt.csv. LOG
+    may be its results, or a folder of logs or of results: then each has a page, and index.html
+    lists them.
 
     \b
     Examples:
       sonarrec truth review pings/
       sonarrec truth review pings/ --truth gt.csv --every 2 -o review.html
       sonarrec truth review pings/ --mistakes
+      sonarrec truth review camp/ -o review
     """
     from sonarrec.overlays.overlay import results_in
     from sonarrec.readers.named_logs import logs_of

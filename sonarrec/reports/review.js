@@ -253,7 +253,7 @@ function onEdge(x, y, angle) {
 }
 
 /** The orientation, rad, of a pass in a frame: as measured there, else in the nearest frame, turned as the sonar was. */
-function turnIn({ turns = {} }, frame) {
+function turnIn({ orientations: turns = {} }, frame) {
   const yaw = (n) => Math.atan2(data.poses[n]?.[1] ?? 0, data.poses[n]?.[0] ?? 1), distance = (n) => Math.abs(n - frame);
   const from = Object.keys(turns).reduce((best, n) => (distance(n) < distance(best ?? FAR) ? n : best), null);
   return from === null ? null : turns[from] * Math.PI / 180 + yaw(frame) - yaw(from);

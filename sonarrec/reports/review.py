@@ -100,9 +100,9 @@ class _Pass:
 
     id: the same on every page of these tracks or this truth. landmark: None for an object that is
     none. state: open, accepted or rejected. left_out: whether it is saved only once accepted. why:
-    what speaks against it. belief, turns, corners, read: see `_find_beliefs`. wrong: frames in
-    which results and truth disagree; first_wrong: the first of the longest such run. picture: one
-    frame; mean: of all frames, turned so that the first sector begins at the right.
+    what speaks against it. belief, orientations, corners, read: see `_find_beliefs`. wrong: frames
+    in which results and truth disagree; first_wrong: the first of the longest such run. picture:
+    of one frame. mean: of several, each rotated so that the first sector begins at the right.
     """
 
     id: str
@@ -118,7 +118,7 @@ class _Pass:
     picture: str = ""
     mean: str = ""
     read: list[float] = field(default_factory=list)
-    turns: dict[int, float] = field(default_factory=dict)
+    orientations: dict[int, float] = field(default_factory=dict)
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
 
 
@@ -236,17 +236,17 @@ def _of_truth(
         ]
 
     kept = {*range(len(truth.keys))}
-    turns: FloatArray = np.full(len(pixels), np.nan)
+    orientations: FloatArray = np.full(len(pixels), np.nan)
     if matched.orientation is not None:
-        turns = matched.orientation
+        orientations = matched.orientation
     rows = defaultdict[tuple[int | None, str], list[_Row]](list)
-    turned = dict[tuple[int | None, int], float]()
+    oriented = dict[tuple[int | None, int], float]()
     sides = ((matched, pixels, found.landmarks.ids), (strangers, others, ()))
-    for match, places, ids in sides:
-        slant_m, bearing_deg = polar_from_pixel(found.fan, *places.T)
+    for match, positions, ids in sides:
+        slant_m, bearing_deg = polar_from_pixel(found.fan, *positions.T)
         floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
         for n in np.argsort(match.frame_index, kind="stable").tolist():
-            x, y = places[n].tolist()
+            x, y = positions[n].tolist()
             if not np.isfinite(x + y):
                 continue  # it says that the frame was looked at
             frame = int(found.frame[match.frame_index[n]])
@@ -255,8 +255,8 @@ def _of_truth(
             came = cells_of(int(match.row[n]), frame=str(frame), **pixel)
             track = came[table.header.index("track")]
             rows[landmark, track].append(_Row(frame, x, y, float(match.visible[n]), came))
-            if ids and np.isfinite(turns[n]):
-                turned[landmark, frame] = float(turns[n])
+            if ids and np.isfinite(orientations[n]):
+                oriented[landmark, frame] = float(orientations[n])
             # What is no landmark is none of any ID.
             for k in (landmark,) if landmark is not None else found.landmarks.ids:
                 occupied[frame, k].append(floor[n].tolist())
@@ -268,7 +268,9 @@ def _of_truth(
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
             state = "open" if proposed else "accepted" if landmark is not None else "rejected"
             one = _Pass(made, landmark, "truth", part, state)
-            one.turns = {f: turned[landmark, f] for f, *_ in part if (landmark, f) in turned}
+            one.orientations = {
+                f: oriented[landmark, f] for f, *_ in part if (landmark, f) in oriented
+            }
             passes.append(one)
     saves_all = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
     rest = sorted(kept)
@@ -361,10 +363,10 @@ def _find_beliefs(passes: Iterable[_Pass], folder: Path, found: LogResults, meth
                 if e.corners is not None:
                     one.corners[frame] = outline_of(e, fan, landmarks).round(1).tolist()
                 if np.isfinite(e.orientation_deg):
-                    turn = one.turns.setdefault(frame, round(e.orientation_deg, 1))
+                    orientation = one.orientations.setdefault(frame, round(e.orientation_deg, 1))
                     if e.read:
                         lit = np.frombuffer(e.read.encode(), np.uint8) - ord("0")
-                        begin = round((90 - e.bearing_deg - turn) / 360 * len(lit))
+                        begin = round((90 - e.bearing_deg - orientation) / 360 * len(lit))
                         sums = read.setdefault(one.id, np.zeros(1 + len(lit)))
                         sums += [1, *np.roll(lit, begin)]
     for one in passes:
@@ -449,16 +451,16 @@ class _Frames:
             most = max(row.visible for row in one.rows)
             best = [row for row in one.rows if row.visible == most]
             middles[best[len(best) // 2].frame].append((one, best[len(best) // 2]))
-            turned = [row for row in one.rows if row.frame in one.turns] or best
-            for row in turned[:: -(-len(turned) // MOST_ADDED)]:
+            oriented = [row for row in one.rows if row.frame in one.orientations] or best
+            for row in oriented[:: -(-len(oriented) // MOST_ADDED)]:
                 to_add[row.frame].append((one, row))
         for frame in log.within(span, passed_over):
             seen.add(frame.index)
             for one, row in middles.get(frame.index, ()):
                 one.picture = _picture(frame, row, found.landmarks.radius_m)
             for one, row in to_add.get(frame.index, ()):
-                turn = one.turns.get(row.frame, 0)
-                sums[one.id] += _upright(frame, row, turn, found.landmarks.radius_m)
+                orientation = one.orientations.get(row.frame, 0)
+                sums[one.id] += _upright(frame, row, orientation, found.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
             if not self.images:
@@ -507,11 +509,15 @@ def _picture(frame: Frame, row: _Row, radius_m: float) -> str:
     return _as_jpeg(np.asarray(cv2.resize(cut, (PICTURE_PX, PICTURE_PX)), np.uint8), QUALITIES[0])
 
 
-def _upright(frame: Frame, row: _Row, turn_deg: float, radius_m: float) -> ByteImage:
-    """The floor about a row, seen from above, turned back by its orientation."""
+def _upright(frame: Frame, row: _Row, orientation_deg: float, radius_m: float) -> ByteImage:
+    """The floor about a row, seen from above, its orientation taken back to 0."""
     middle = (PICTURE_PX - 1) / 2
     axes = disc_outline(
-        frame.fan, SHOWN * radius_m, row.x, row.y, np.radians([turn_deg, turn_deg + 90])
+        frame.fan,
+        SHOWN * radius_m,
+        row.x,
+        row.y,
+        np.radians([orientation_deg, orientation_deg + 90]),
     )
     source = np.array([(row.x, row.y), *axes], np.float32)
     edge = (middle, middle), (PICTURE_PX - 0.5, middle), (middle, -0.5)
