@@ -34,20 +34,20 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "cli": 2890,
+    "cli": 2922,
     "drawing": 735,
-    "evaluation": 3930,
+    "evaluation": 3958,
     "geometry": 415,
     "learning": 556,
     "mapping": 1392,
     "overlays": 547,
-    "readers": 6258,
+    "readers": 6270,
     "recogniser": 6441,
-    "reports": 2126,
+    "reports": 2323,
     "results": 1956,
     "runs": 1766,
     "simulation": 2505,
-    "tables": 1012,
+    "tables": 1016,
     "truth": 1269,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

@@ -269,7 +269,7 @@ function drawSymbol(pass) {
 }
 
 /** The mean picture of a pass; around it, bright, the directions that were read to be lit. */
-function mean({ mean: href, read = [] } = {}) {
+function mean({ picture: href, read = [] } = {}) {
   part("mean").replaceChildren();
   if (href) drawn(part("mean"), "image", { href, x: -50, y: -50, width: 100, height: 100 });
   read.forEach((lit, n) => {

@@ -62,8 +62,8 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, rea
 MOST_BYTES = 24_900_000  # of a page
 ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its image
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
-PICTURE_PX = 64  # of a pass in the list, and of its mean picture
-SHOWN = 1.3  # radii from the middle to the edge of a mean picture
+PICTURE_PX = 64  # of a pass
+SHOWN = 1.3  # radii from the middle of such a picture to its edge
 MOST_ADDED = 20  # frames in one
 IMAGES = '"images":{"":""'  # where they go in the page, so that they are held once
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
@@ -102,7 +102,7 @@ class _Pass:
     none. state: open, accepted or rejected. left_out: whether it is saved only once accepted. why:
     what speaks against it. belief, orientations, corners, read: see `_find_beliefs`. wrong: frames
     in which results and truth disagree; first_wrong: the first of the longest such run. picture:
-    of one frame. mean: of several, each rotated so that the first sector begins at the right.
+    mean of frames, each rotated so that the first sector begins at the right.
     """
 
     id: str
@@ -116,7 +116,6 @@ class _Pass:
     wrong: int = 0
     first_wrong: int = -1
     picture: str = ""
-    mean: str = ""
     read: list[float] = field(default_factory=list)
     orientations: dict[int, float] = field(default_factory=dict)
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
@@ -444,20 +443,15 @@ class _Frames:
         seen, step, span = set[int](), 1, found.run.span() or (0, None)
         rank = {n: k for k, n in enumerate(sorted(wanted))}
         passed_over = {-1}  # not empty, since it is filled once the first frame is there
-        middles = defaultdict[int, list[tuple[_Pass, _Row]]](list)
         to_add = defaultdict[int, list[tuple[_Pass, _Row]]](list)
         sums = {one.id: np.zeros((PICTURE_PX, PICTURE_PX), np.float32) for one in passes}
         for one in passes:
-            most = max(row.visible for row in one.rows)
-            best = [row for row in one.rows if row.visible == most]
-            middles[best[len(best) // 2].frame].append((one, best[len(best) // 2]))
-            oriented = [row for row in one.rows if row.frame in one.orientations] or best
-            for row in oriented[:: -(-len(oriented) // MOST_ADDED)]:
+            shown = [row for row in one.rows if row.frame in one.orientations]
+            best = max(one.rows, key=lambda row: row.visible)
+            for row in shown[:: -(-len(shown) // MOST_ADDED)] if shown else [best]:
                 to_add[row.frame].append((one, row))
         for frame in log.within(span, passed_over):
             seen.add(frame.index)
-            for one, row in middles.get(frame.index, ()):
-                one.picture = _picture(frame, row, found.landmarks.radius_m)
             for one, row in to_add.get(frame.index, ()):
                 orientation = one.orientations.get(row.frame, 0)
                 sums[one.id] += _upright(frame, row, orientation, found.landmarks.radius_m)
@@ -470,7 +464,7 @@ class _Frames:
                 while sizes[quality] / step > 1.1 * max(room, 1) and step < len(wanted):
                     step *= 2
                 kept = {n for n in wanted if rank[n] % step == 0}
-                passed_over |= {*found.frame.tolist()} - kept - {*middles} - {*to_add}
+                passed_over |= {*found.frame.tolist()} - kept - {*to_add}
             if rank[frame.index] % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
                 held += len(self.images[frame.index])
@@ -481,7 +475,7 @@ class _Frames:
         for one in passes:
             low, high = np.percentile(sums[one.id], (1, 99))
             levels = np.clip(255 * (sums[one.id] - low) / max(high - low, 1), 0, 255)
-            one.mean = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
+            one.picture = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
         seen |= {*found.frame.tolist()}  # the run could read those that were passed over
         last = log.frame_count or max(seen) + 1
         self.numbers = range(span[0], min(last, span[1] or last))
@@ -496,17 +490,6 @@ def _as_jpeg(image: ByteImage, quality: int) -> str:
     coded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert coded
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
-
-
-def _picture(frame: Frame, row: _Row, radius_m: float) -> str:
-    """The part of a frame about a row, as a data URI."""
-    side = max(3, round(2.6 * radius_m / frame.fan.metres_per_pixel))
-    cut = cv2.getRectSubPix(
-        cv2.copyMakeBorder(frame.image, side, side, side, side, cv2.BORDER_CONSTANT),
-        (side, side),
-        (row.x + side, row.y + side),
-    )
-    return _as_jpeg(np.asarray(cv2.resize(cut, (PICTURE_PX, PICTURE_PX)), np.uint8), QUALITIES[0])
 
 
 def _upright(frame: Frame, row: _Row, orientation_deg: float, radius_m: float) -> ByteImage:
