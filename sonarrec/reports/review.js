@@ -39,24 +39,25 @@ function between(a, b, frame) {
   return isOne && places.every(Boolean) ? pixelOf(mix(...places), frame) : mix([a.x, a.y], [b.x, b.y]);
 }
 
-/** The pixel in a frame of what lies still, as the nearest rows have it; null over a break of the motion. */
+/** The pixel in a frame of what lies still, as the nearest rows have it; null where the motion is not known. */
 function carried(rows, frame) {
   const isBefore = frame < rows[0].frame, end = rows.at(isBefore ? 0 : -1);
   const whole = rows.filter((one) => one.visible > 0.9), from = end.key || !whole.length ? [end] : whole;
   const places = from.slice(...(isBefore ? [0, CARRIED_BY] : [-CARRIED_BY])).map(placeOf).filter(Boolean);
-  if (!Object.keys(data.poses).length) return [end.x, end.y];
   if (!places.length || stretchOf(frame) === undefined || stretchOf(frame) !== stretchOf(end.frame)) return null;
   return pixelOf([0, 1].map((axis) => places.reduce((sum, place) => sum + place[axis], 0) / places.length), frame);
 }
 
-/** Rows from a first frame to a last one: cut there, or carried on while the landmark is in view. */
-function reaching(rows, first, last) {
+/** Rows from a first frame to a last one: cut there, or carried on while the landmark is in view; where the
+    motion is not known in the same pixel if held, else no further. */
+function reaching(rows, first, last, held) {
   const kept = rows.filter((one) => one.frame >= first && one.frame <= last);
   const beyond = (from, by, end) => {
     const more = [];
     for (let n = from + by; (end - n) * by >= 0; n += by) {
-      const pixel = damaged.has(n) ? [] : carried(kept, n), one = pixel && placed(n, ...pixel, { made: true });
-      if (pixel?.length === 0) continue;
+      if (damaged.has(n)) continue;
+      const end = kept.at(by > 0 ? -1 : 0), pixel = carried(kept, n) ?? (held ? [end.x, end.y] : null);
+      const one = pixel && placed(n, ...pixel, { made: true });
       if (!one?.visible) break;
       more.push(one);
     }
@@ -114,7 +115,7 @@ const entries = {
   set: (pass, { state = pass.state, landmark = pass.landmark }) => ({ state, landmark }),
   move: (pass, { frame, x, y }) => ({ rows: (pass.drawn || at(pass, frame)?.made ? withKey : moved)(pass.rows, frame, x, y) }),
   shift: (pass, { frame, x, y }) => ({ rows: shifted(pass.rows, frame, x, y) }),
-  reach: (pass, { first, last }) => ({ rows: reaching(pass.rows, first, last) }),
+  reach: (pass, { first, last, held }) => ({ rows: reaching(pass.rows, first, last, held) }),
   remove: (pass, { frame }) => ({ rows: pass.rows.filter((one) => weight(one.frame, frame) <= 0.5) }),
 };
 
@@ -401,13 +402,16 @@ function reach(isFirst, { shiftKey }) {
   const pass = current(), [first, last] = pass ? [pass.rows[0].frame, pass.rows.at(-1).frame] : [];
   if (!pass) return say("Choose a pass first.");
   const to = shiftKey ? (isFirst ? data.first : data.first + data.frames - 1) : now;
-  pull(pass, isFirst ? to : first, isFirst ? last : to);
+  pull(pass, isFirst ? to : first, isFirst ? last : to, !shiftKey);
 }
 
-function pull(pass, first, last) {
+function pull(pass, first, last, held) {
   if (first > pass.rows.at(-1).frame || last < pass.rows[0].frame) return say("That would leave nothing of the pass: reject it, or choose another.");
-  decide({ kind: "reach", pass: pass.id, first, last });
-  if (current()) say(`${called(current().landmark)}: ${spanOf(current())}.${Object.keys(data.poses).length ? "" : " The motion is not known: drag its outlines to where it lies."}`);
+  decide({ kind: "reach", pass: pass.id, first, last, held });
+  if (stale) return;
+  const { rows } = current(), ends = [rows[0].frame, rows.at(-1).frame], isKnown = ends.every((n) => stretchOf(n) === stretchOf(pass.rows[0].frame));
+  const further = isKnown && Object.keys(data.poses).length ? "" : " The motion is not known all along: drag the outlines to where it lies.";
+  say(`${called(pass.landmark)}: ${spanOf(current())}${ends[0] > first || ends[1] < last ? ", as far as it is in view" : ""}.${further}`);
 }
 
 const toPlace = () => `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.`;
@@ -570,7 +574,7 @@ for (const kind of ["pointerdown", "pointermove", "pointerup"]) part("strip").ad
   } else if (pulled) {
     const { first, last: end, moved: isMoved } = pulled, pass = current();
     pulled = null;
-    if (isMoved && pass) pull(pass, first, end);
+    if (isMoved && pass) pull(pass, first, end, true);
   }
   part("strip").style.cursor = takenAt(event) ? "ew-resize" : "";
   if (event.buttons) go(n);

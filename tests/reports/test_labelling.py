@@ -217,6 +217,60 @@ def test_rejections_and_pieces_come_back(browser: Any, camp: Path, tmp_path: Pat
     assert len(again.passes) == len(page.passes)
 
 
+def test_a_whole_pass_is_shifted(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """By as much on the floor in each frame, though the sonar pans."""
+    made = tmp_path / "pan.html"
+    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
+    page = Page(browser, made, tmp_path)
+    places = "return current().rows.map(r => floorFromPixel(fan, r.x, r.y))"
+    rows = browser.execute_script("return current().rows")
+    before = np.array(browser.execute_script(places), dtype=float)
+    now = int(browser.execute_script("return now"))
+    [at] = [row for row in rows if row["frame"] == now]
+    page.press("m")
+    page.pointer(at["x"], at["y"], drag=(9, -6))
+    by = np.array(browser.execute_script(places), dtype=float) - before
+    size = np.linalg.norm(by, axis=1)
+    assert size.min() > 0.05
+    assert np.ptp(size) < 0.01
+    pan = np.array(
+        browser.execute_script(
+            "return current().rows.map(r => Math.atan2(...data.poses[r.frame].slice(0, 2).reverse()))"
+        ),
+        dtype=float,
+    )
+    rotated = np.unwrap(np.arctan2(by[:, 1], by[:, 0])) - pan
+    assert np.ptp(pan) > 0.1
+    assert np.ptp(rotated) < 0.02
+    page.press("u")
+    assert browser.execute_script(places) == before.tolist()
+
+
+def test_the_start_page_reads_saved_tables(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """Where the browser shares no storage between pages: it says so, and takes the tables."""
+    pages = tmp_path / "pages"
+    sonarrec("truth", "review", camp / "logs", "--results", camp / "out", "-o", pages)
+    look(browser, pages / "index.html", 1280, "dark")
+    browser.execute_script("localStorage.clear()")
+    found = look(browser, pages / "index.html", 390, "dark")
+    assert found["console"] == []
+    assert found["wide"] <= 0
+    assert "choose the saved tables" in browser.find_element("id", "where").text
+    saved = tmp_path / "pan.gt.csv"
+    saved.write_text(
+        "frame,landmark,x_px,y_px,visible,track,source\n"
+        "1,1,50,60,1,1,\n2,1,50,60,1,1,\n1,none,9,60,1,2,\n1,3,70,60,1,3,tracked\n"
+    )
+    other = tmp_path / "other.gt.csv"
+    other.write_text("frame,landmark\n")
+    browser.find_element("id", "files").send_keys(f"{saved}\n{other}")
+    row = browser.find_element("css selector", "[data-log='1']")
+    cells = [cell.text for cell in row.find_elements("css selector", "th, td")]
+    assert (cells[0], cells[2:5]) == ("pan", ["3", "2", "1"])
+    assert "4 rows" in cells[-1]
+    assert "other.gt.csv" in browser.find_element("id", "where").text
+
+
 def test_two_tabs(browser: Any, camp: Path, tmp_path: Path) -> None:
     made = tmp_path / "pan.html"
     sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
