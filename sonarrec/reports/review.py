@@ -64,7 +64,7 @@ ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
 PICTURE_PX = 64  # of a pass
 SHOWN = 1.3  # radii from the middle of such a picture to its edge
-MOST_ADDED = 20  # frames in one
+MOST_ADDED = 12  # frames in one
 IMAGES = '"images":{"":""'  # where they go in the page, so that they are held once
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
 """Columns of a truth in place of which others are saved, since two could contradict each other."""

@@ -189,6 +189,16 @@ def test_ends_of_a_pass(browser: Any, camp: Path, tmp_path: Path) -> None:
         assert np.hypot(x - seen[frame][0], y - seen[frame][1]) < 4, frame
     page.press("u", "u", "u", "u", "u")
     assert page.passes == whole
+    # Without motion it stays in its pixel, as far as it is told, and the page says so.
+    browser.execute_script("data.poses = {}")
+    Labeller(page, truth).press(SHIFT, "e")
+    assert page.passes == whole
+    page.choose(landmark, first)
+    end = page.passes[0][2]
+    page.strip(end + 3)
+    page.press("e")
+    assert page.passes[0][2] == end + 3
+    assert "not known" in page.text("say")
 
 
 def test_rejections_and_pieces_come_back(browser: Any, camp: Path, tmp_path: Path) -> None:
@@ -235,7 +245,7 @@ def test_a_whole_pass_is_shifted(browser: Any, camp: Path, tmp_path: Path) -> No
     assert np.ptp(size) < 0.01
     pan = np.array(
         browser.execute_script(
-            "return current().rows.map(r => Math.atan2(...data.poses[r.frame].slice(0, 2).reverse()))"
+            "return current().rows.map(r => data.poses[r.frame]).map(p => Math.atan2(p[1], p[0]))"
         ),
         dtype=float,
     )
