@@ -2,9 +2,9 @@
 
 In README.md and sonarrec/help/*.md a line `$ COMMAND` of a code block is run, in order, in a fresh
 copy of the sample data. Lines under it are what it prints, in order, `...` standing for anything.
-`$ cat FILE` of a file that is not there yet makes it, and `$ nano FILE` any; ~/Downloads/gt.csv is
-what a browser saved. A command that names a server is not run here: tests/runs/test_remote.py has
-servers.
+`$ cat FILE` of a file that is not there yet makes it, and `$ nano FILE` any;
+~/Downloads/dive.gt.csv is what a browser saved. A command that names a server is not run here:
+tests/runs/test_remote.py has servers.
 """
 
 from __future__ import annotations
@@ -126,11 +126,13 @@ def test_commands_in_order_print_what_is_shown(
     assert without or any("sonarrec" in command for command, _ in found)
     for command, shown in found:
         words = command.split()
-        if words[:2] == ["mv", "~/Downloads/gt.csv"]:  # as the page saves it if all is accepted
-            results = f"sonarrec_out/{Path(words[2]).parent.name}"
-            run(shlex.join(["sonarrec", "truth", "propose", results, "-o", words[2]]), tmp_path)
-            proposed = Path(words[2]).read_text()
-            Path(words[2]).write_text(re.sub(r",(tracked|interpolated)\b", ",", proposed))
+        if words[:2] == [
+            "mv",
+            "~/Downloads/dive.gt.csv",
+        ]:  # as the page saves it if all is accepted
+            saved = Path(words[2]) / "dive.gt.csv"
+            run(f"sonarrec truth propose sonarrec_out/dive -o {saved}", tmp_path)
+            saved.write_text(re.sub(r",(tracked|interpolated)\b", ",", saved.read_text()))
         elif words[0] == "nano" or (words[0] == "cat" and not Path(words[1]).exists()):
             Path(words[1]).write_text("\n".join(shown) + "\n", encoding="utf-8")
         elif words[0] != "make" and "://" not in command:

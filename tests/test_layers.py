@@ -36,20 +36,20 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1055,
-    "cli": 2958,
+    "cli": 2990,
     "drawing": 681,
-    "evaluation": 3392,
+    "evaluation": 3419,
     "geometry": 418,
-    "learning": 531,
+    "learning": 532,
     "mapping": 1400,
     "overlays": 624,
-    "readers": 6273,
+    "readers": 6285,
     "recogniser": 5805,
-    "reports": 2133,
-    "results": 1990,
+    "reports": 2330,
+    "results": 1991,
     "runs": 1626,
     "simulation": 2614,
-    "tables": 1016,
+    "tables": 1020,
     "truth": 1219,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

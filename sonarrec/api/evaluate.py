@@ -42,7 +42,8 @@ def evaluate(
     results : str or Path, default "sonarrec_out"
         The folder of one log's results, or a folder of such folders.
     ground_truth : str or Path, optional
-        One table for all logs. Default: NAME.gt.csv, or gt.csv, in the folder of each log.
+        One table for all logs, or a folder with NAME.gt.csv of each. Default: NAME.gt.csv, or
+        gt.csv, in the folder of each log.
     pairs : str or Path, optional
         A CSV that names results and truth of each log, in place of `results` and `ground_truth`.
     method : str or sequence of str, optional
@@ -116,8 +117,8 @@ def compare(
     old, new : str or Path
         Folders of results. Their logs are paired by name; if each holds one log, these are paired.
     ground_truth : str, Path or sequence of Pair, optional
-        One table for all logs, or pairs that name a truth for each. Default: NAME.gt.csv, or
-        gt.csv, in the folder of each log.
+        One table for all logs, a folder with NAME.gt.csv of each, or pairs. Default: NAME.gt.csv,
+        or gt.csv, in the folder of each log.
     options : ScoringOptions, optional
         How results are scored, in place of `scoring`.
     pairs : str or Path, optional

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 @command(short_help="Score results against ground truth, or compare them.")
 @click.argument("results", type=ANY, required=False)
-@options.ground_truth("gt.csv, in place of each log's own NAME.gt.csv or gt.csv.")
+@options.ground_truth(
+    "gt.csv, or a folder of NAME.gt.csv, in place of each log's own NAME.gt.csv or gt.csv.",
+    of_each=True,
+)
 @options.pairs
 @options.compare("What got better or worse from OLD to NEW, in place of RESULTS.")
 @options.limits

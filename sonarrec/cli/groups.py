@@ -63,6 +63,7 @@ class ListFile(click.File):
 
 
 FILE = _Local(exists=True, dir_okay=False, path_type=Path)
+EXISTING = _Local(exists=True, path_type=Path)
 NEW_FILE = _Local(dir_okay=False, path_type=Path)
 FOLDER = _Local(file_okay=False, path_type=Path)
 ANY = _Local(path_type=Path)

@@ -14,6 +14,7 @@ import click
 from sonarrec.cli.endings import inform
 from sonarrec.cli.groups import (
     ANY,
+    EXISTING,
     FILE,
     Decorator,
     FiniteRange,
@@ -241,9 +242,10 @@ pairs = in_input(
 )
 
 
-def ground_truth(text: str) -> Decorator:
-    """--ground-truth. text: what it is for."""
-    return in_input("--ground-truth", type=FILE, help=f"{text} Columns: sonarrec help truth.")
+def ground_truth(text: str, *, of_each: bool = False) -> Decorator:
+    """--ground-truth. text: what it is for. of_each: or a folder that has one of each log."""
+    kind = EXISTING if of_each else FILE
+    return in_input("--ground-truth", type=kind, help=f"{text} Columns: sonarrec help truth.")
 
 
 def compare(text: str) -> Decorator:

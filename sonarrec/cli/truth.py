@@ -14,6 +14,7 @@ from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, finish, leave, print_notes, say
 from sonarrec.cli.groups import (
     ANY,
+    EXISTING,
     FILE,
     NEW_FILE,
     FiniteRange,
@@ -23,7 +24,7 @@ from sonarrec.cli.groups import (
     in_output,
     in_scoring,
 )
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
+from sonarrec.errors import SonarrecError, UsageError, number_of
 
 NEW = "A new file; an existing one is not overwritten."
 MOST_FAULTS = 20
@@ -130,8 +131,8 @@ def convert(
 
 
 @truth.command(short_help="Find errors in a gt.csv.", cls=GroupedCommand)
-@click.argument("ground_truth", type=FILE, metavar="GT.CSV")
-@click.argument("log", shell_complete=file_names)
+@click.argument("ground_truth", type=EXISTING, metavar="GT.CSV")
+@click.argument("log", required=False, shell_complete=file_names)
 @options.reading(time=True)
 @options.landmarks
 @in_scoring(
@@ -144,7 +145,7 @@ def convert(
 @options.quiet
 def check(
     ground_truth: Path,
-    log: str,
+    log: str | None,
     reading: dict[str, Any],
     landmarks: str | None,
     max_pan_deg: float,
@@ -152,6 +153,8 @@ def check(
 ) -> None:
     """Find errors in GT.CSV, the ground truth of LOG.
 
+    GT.CSV may be a folder that holds NAME.gt.csv of each log, and LOG a folder of logs. With LOG
+    alone the truth is that in or next to each log.
     It reports, with the line: IDs not in the set, frames not in the log, discs wholly outside the
     fan, `visible` outside 0 to 1 or above the share of the disc in the fan image, repeated rows,
     landmarks that overlap or change their ID, and jumps that no turn of the sonar explains.
@@ -161,6 +164,8 @@ def check(
     Examples:
       sonarrec truth check sample_data/pan.gt.csv sample_data/pan.mcap
       sonarrec truth check gt_proposed.csv pings/ --max-pan 10
+      sonarrec truth check pings/
+      sonarrec truth check labelled/ camp/
     """
     from sonarrec.advice.rows import check_truth
     from sonarrec.readers import open_log
@@ -168,27 +173,58 @@ def check(
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.prepare import chosen_landmarks
 
-    landmark_set, _ = chosen_landmarks(find_log(log), landmarks, read_run(None))
-    with open_log(log, **reading) as opened:
-        rows, faults, diagnostics = check_truth(
-            ground_truth, opened, landmark_set, max_pan_deg=max_pan_deg
-        )
-    lines, counts = list[str](), Counter[str]()
-    for fault in faults:
-        counts[fault.kind] += 1
-        if counts[fault.kind] <= MOST_FAULTS:
-            lines.append(f"{ground_truth} line {fault.line}: {fault.text}")
-    for kind, count in counts.items():
-        if count > MOST_FAULTS:
-            lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
-    print_notes(diagnostics.problems)
-    found = number_of(len(faults), "fault") if faults else "no fault"
-    if not quiet:
-        lines.append(f"{ground_truth}: {number_of(rows, 'row')}, {found}")
-    say(*lines)
-    print_notes((), diagnostics.notes)
-    if faults or diagnostics.problems:
+    is_faulty, unread = False, list[SonarrecError]()
+    pairs = _truths(ground_truth, log)
+    for path, of in pairs:
+        try:
+            landmark_set, _ = chosen_landmarks(find_log(of), landmarks, read_run(None))
+            with open_log(of, **reading) as opened:
+                rows, faults, diagnostics = check_truth(
+                    path, opened, landmark_set, max_pan_deg=max_pan_deg
+                )
+        except SonarrecError as error:  # of several logs it costs this one
+            unread.append(error)
+            if len(unread) == len(pairs):
+                raise
+            print_notes([f"{error}; not checked"])
+            continue
+        lines, counts = list[str](), Counter[str]()
+        for fault in faults:
+            counts[fault.kind] += 1
+            if counts[fault.kind] <= MOST_FAULTS:
+                lines.append(f"{path} line {fault.line}: {fault.text}")
+        for kind, count in counts.items():
+            if count > MOST_FAULTS:
+                lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
+        print_notes(diagnostics.problems)
+        found = number_of(len(faults), "fault") if faults else "no fault"
+        if not quiet:
+            lines.append(f"{path}: {number_of(rows, 'row')}, {found}")
+        say(*lines)
+        print_notes((), diagnostics.notes)
+        is_faulty |= bool(faults or diagnostics.problems)
+    if is_faulty or unread:
         leave(PARTLY)
+
+
+def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
+    """Each truth to check, and its log. given: as GT.CSV; without a log the logs themselves. The
+    truth may be a file that is not there."""
+    from sonarrec.readers.named_logs import logs_of
+    from sonarrec.readers.open import find_log, own_file
+    from sonarrec.truth.table import TRUTH_FILE
+
+    if log is None and given.suffix == ".csv":
+        raise UsageError(f"{given}: name the log that it is the truth of, too")
+    if log is not None and given.is_file():
+        return [(given, log)]
+    found = []
+    for one in logs_of(log or str(given)):
+        source = find_log(one.path)
+        own = own_file(source.location, TRUTH_FILE).name
+        truth = source.companion(TRUTH_FILE) if log is None else given / own
+        found.append((truth or source.location.parent / own, one.path))
+    return found
 
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
@@ -283,44 +319,34 @@ def review(
 
     It is one HTML file for the browser, which needs no network. It shows each pass of a landmark,
     as the results and a gt.csv have it, the uncertain ones first. You accept it, reject it, give it
-    another ID, drag its outline, or draw what is missing; its button Save gives gt.csv. LOG may be
-    its results, or a folder of logs or of results: then each has a page.
+    another ID, drag its outline, or draw what is missing; its button Save gives NAME.gt.csv. LOG
+    may be its results, or a folder of logs or of results: then each has a page, and index.html
+    lists them.
 
     \b
     Examples:
       sonarrec truth review pings/
       sonarrec truth review pings/ --truth gt.csv --every 2 -o review.html
       sonarrec truth review pings/ --mistakes
+      sonarrec truth review camp/ -o review
     """
     from sonarrec.overlays.overlay import results_in
-    from sonarrec.readers.named_logs import logs_named
+    from sonarrec.readers.named_logs import logs_of
+    from sonarrec.reports.camp import review_camp
     from sonarrec.reports.review import review as write_review
 
-    logs = results_in(Path(log)) or [Path(one.path) for one in logs_named(log)]
-    diagnostics, lines = Diagnostics(), list[str]()
-    for one in logs:
-        page = out or Path("review.html")
-        if logs[1:]:
-            page = Path(out or "review") / f"{one.name}.html"
-        try:
-            line, of_log = write_review(
-                one,
-                page,
-                truth=ground_truth,
-                results=results,
-                every=every,
-                spans=frames or (),
-                mistakes=mistakes,
-                method=method,
-            )
-        except SonarrecError as error:
-            if not logs[1:]:
-                raise
-            diagnostics.problem(str(error))
-        else:
-            lines.append(line)
-            diagnostics.problem(*of_log.problems)
-            diagnostics.note(*of_log.notes)
-    if not lines:
-        raise SonarrecError(diagnostics.problems[0])
+    logs = results_in(Path(log)) or [Path(one.path) for one in logs_of(log)]
+    options: dict[str, Any] = {
+        "truth": ground_truth,
+        "results": results,
+        "every": every,
+        "spans": frames or (),
+        "mistakes": mistakes,
+        "method": method,
+    }
+    if logs[1:]:
+        lines, diagnostics = review_camp(logs, out or Path("review"), **options)
+    else:
+        line, _, diagnostics = write_review(logs[0], out or Path("review.html"), **options)
+        lines = [line]
     finish(quiet, lines, diagnostics.problems, diagnostics.notes)

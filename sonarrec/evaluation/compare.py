@@ -152,7 +152,8 @@ def compare(
     options.check()
     diagnostics = Diagnostics()
     logs = _logs(pair_up(old, new, diagnostics), ground_truth, diagnostics)
-    one_truth_of = new if isinstance(ground_truth, Path) else None
+    is_one = isinstance(ground_truth, Path) and not ground_truth.is_dir()
+    one_truth_of = new if is_one else None
     return _compared((old, new), logs, options, diagnostics, advise, one_truth_of)
 
 
@@ -238,6 +239,8 @@ def _logs(
     """The logs of these old and new folders that have a truth, by name; others are problems."""
     if ground_truth is None:
         pairs: Sequence[Pair] = find_truths([now for _, now in folders], diagnostics)
+    elif isinstance(ground_truth, Path) and ground_truth.is_dir():
+        pairs = find_truths([now for _, now in folders], diagnostics, ground_truth)
     elif isinstance(ground_truth, Path):
         pairs = [Pair(now, ground_truth) for _, now in folders]
     else:

@@ -309,6 +309,8 @@ def evaluate_logs(
         pairs = usable_pairs(results, diagnostics)
     elif ground_truth is None:
         pairs = find_truths(find_logs(Path(results)), diagnostics)
+    elif Path(ground_truth).is_dir():
+        pairs = find_truths(find_logs(Path(results)), diagnostics, Path(ground_truth))
     else:
         results, table = Path(results), read_truth(Path(ground_truth))
         pairs = [Pair(folder, table.path) for folder in find_logs(results)]

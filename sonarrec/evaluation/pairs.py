@@ -12,6 +12,7 @@ from sonarrec.errors import (
     SonarrecError,
     UsageError,
     command_line,
+    name_from_text,
     number_of,
 )
 from sonarrec.readers.open import is_log_file, log_name, own_file
@@ -70,10 +71,12 @@ def usable_pairs(pairs: Iterable[Pair], diagnostics: Diagnostics) -> list[Pair]:
     return usable
 
 
-def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]:
+def find_truths(
+    folders: Iterable[Path], diagnostics: Diagnostics, truths: Path | None = None
+) -> list[Pair]:
     """Each results folder with the truth found by its log; one without truth is a problem.
 
-    run.toml says where the log is.
+    run.toml says where the log is. truths: a folder that holds NAME.gt.csv of each.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
     several logs share a truth without a log column.
     """
@@ -86,7 +89,10 @@ def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]
             unread.append(error)
             continue
         try:
-            truth = _truth_of_log(folder, run.input, diagnostics)
+            if truths is None:
+                truth = _truth_of_log(folder, run.input, diagnostics)
+            else:
+                truth = _truth_in(truths, folder, run.input)
         except SonarrecError as error:
             without.append(f"{folder}: no ground truth: {error}")
             continue
@@ -105,9 +111,25 @@ def find_truths(folders: Iterable[Path], diagnostics: Diagnostics) -> list[Pair]
         more = f" (and {number_of(len(without) - 1, 'more log')} without one)" * bool(without[1:])
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
-    of, each = (pairs[0].results, "its log") if len(pairs) == 1 else (f"{len(pairs)} logs", "each")
-    diagnostics.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
+    if truths is None:
+        of, each = f"{len(pairs)} logs", "each"
+        if len(pairs) == 1:
+            of, each = str(pairs[0].results), "its log"
+        diagnostics.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
     return pairs
+
+
+def _truth_in(truths: Path, folder: Path, source: Input) -> Path:
+    """NAME.gt.csv in a folder of truths; NAME as of the results, else of the log. Raises
+    SonarrecError if there is none."""
+    names = [folder.resolve().name]
+    if source.path is not None:
+        names.append(log_name(Path(name_from_text(source.path))))
+    files = [truths / f"{name}.{TRUTH_FILE}" for name in names]
+    truth = next(filter(Path.is_file, files), None)
+    if truth is None:
+        raise SonarrecError(f"no {files[0].name} in {truths}")
+    return truth
 
 
 def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path:

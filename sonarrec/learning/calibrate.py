@@ -204,17 +204,18 @@ def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, 
 
     People do not label every frame. So if a track shows a landmark in one frame, its frames without
     a label are left out: they do not count as "none of these". A row whose `visible` is 0 teaches
-    no ID: scoring ignores it too.
+    nothing: scoring ignores it too.
     """
     assert truth.position is not None
     assert strangers.position is not None
+    shown = strangers.visible > 0
     ids = len(tracks.landmarks.ids)
     landmark = np.where(truth.visible > 0, truth.landmark_index, HIDDEN)
     samples = label(
         tracks,
-        np.append(truth.frame_index, strangers.frame_index),
-        np.append(landmark, strangers.landmark_index + 1),  # distinct from unlabelled tracks
-        np.concatenate([truth.position, strangers.position]),
+        np.append(truth.frame_index, strangers.frame_index[shown]),
+        np.append(landmark, strangers.landmark_index[shown] + 1),  # not as unlabelled tracks
+        np.concatenate([truth.position, strangers.position[shown]]),
     )
     other = samples.label == ids
     unsure = other & np.isin(samples.track, samples.track[samples.label < ids])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import replace
 from itertools import chain, islice
 from typing import Any, NamedTuple
@@ -111,13 +111,16 @@ class Log:
         """All usable frames: see `within`."""
         return self.within((0, None))
 
-    def within(self, span: tuple[int, int | None]) -> Iterator[Frame]:
+    def within(
+        self, span: tuple[int, int | None], passed_over: Container[int] = ()
+    ) -> Iterator[Frame]:
         """The usable frames of a span, in order. Each keeps its number in the log.
 
         span: (first number, one past the last; None: to the end). A frame without a time gets it
         from the last frame that has one and from frame_rate_hz (1 Hz if not stated). The log's
         first usable frame is always read, because it decides geometry and grey scale; other frames
-        before the span are skipped, even if they are damaged.
+        before the span are skipped, even if they are damaged. passed_over: numbers of others that
+        are skipped; it may change during the pass.
         Raises SonarrecError if no frame can be used, or if the bearings in the sonar geometry do
         not match the images.
         """
@@ -127,7 +130,7 @@ class Log:
         used, before, repeats, breaks, start_ns = 0, None, Counter[str](), self._breaks(), 0
         stretch = 0
         for index, stored in islice(numbered, span[1]):
-            if stored.is_lost or (used and index < span[0]):
+            if stored.is_lost or (used and (index < span[0] or index in passed_over)):
                 continue
             # Grey pixels in the fan, and the time.
             try:
@@ -139,8 +142,9 @@ class Log:
             if not used and stored.ping is not None and self.stated.beam_width_deg is None:
                 self.beam_width_deg = stored.ping.beam_width_deg
             used += 1
+            if used == 1:
+                self._raw.passed_over = passed_over or range(span[0])
             if index < span[0]:
-                self._raw.passed_over = range(span[0])
                 continue
             # Is it another picture, and another time, than the frame before?
             if before is not None:

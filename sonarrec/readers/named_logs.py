@@ -42,6 +42,14 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
     return logs or [NamedLog(name)]
 
 
+def logs_of(name: str) -> list[NamedLog]:
+    """The logs of an argument that may be a campaign: as `logs_named`, and of a folder that is no
+    log and holds none also those below it, such as folders of images."""
+    path = Path(name)
+    is_folder = path.is_dir() and not _is_bag(path)
+    return logs_named(name, recursive=is_folder and not _in_folder(path))
+
+
 def unread_below(name: str, *, recursive: bool = False) -> str:
     """How many files of a folder of logs, by ending, may be recordings, and are not read."""
     top = Path(name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -136,7 +136,7 @@ class RawLog(ABC):
         self.polar = polar
         self.header_info = HeaderInfo()
         self.playback_hz: float | None = None
-        self.passed_over = range(0)
+        self.passed_over: Container[int] = range(0)
         self.close: Callable[[], object] = lambda: None
 
     def geometry(self, stated: Sonar) -> Sonar:

@@ -24,6 +24,7 @@ from sonarrec.passes import PASS_GAP
 from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts
 from sonarrec.reports.frames import Picture, Shown
+from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.logs import (
     ReportedLog,
     Track,
@@ -120,7 +121,7 @@ def render(
         measured=_measured,
         light_colours=[charts.darkened(colour) for colour in colours],
         dark_colours=["#{:02x}{:02x}{:02x}".format(*colour) for colour in colours],
-        glyphs=[charts.glyph(landmarks, k) for k in range(len(landmarks.ids))],
+        glyphs=[glyph(landmarks, k) for k in range(len(landmarks.ids))],
         method_colours=[COLOURS[n % len(COLOURS)] for n in range(len(methods))],
         line_styles=charts.STYLES,
         logs=[_log_view(log, most_tracks) for log in logs],

@@ -1,44 +1,91 @@
-// Truth by eye. A pass is accepted, rejected, given another ID, split; outlines are dragged, placed and
-// removed. Each is an entry of `work.done`; `fold` makes the passes from those of the page and these
+// Truth by eye. A pass is accepted, rejected, given another ID, split, shifted, its ends are set;
+// outlines are dragged, placed and removed. Each is an entry of `work.done`; `fold` makes the passes from those of the page and these
 // entries, so that undo is to leave the last one out, and only entries are kept in the browser.
 const data = JSON.parse(document.getElementById("data").textContent);
 const { fan, ids, images, radius_m } = data, last = data.first + data.frames - 1, key = `sonarrec review ${data.key}`;
 const damaged = new Set(data.damaged), shown = Object.keys(images).map(Number);
 const part = (id) => document.getElementById(id), button = (act) => document.querySelector(`[data-act=${act}]`);
 const view = new View(part("marks"), part("image"));
-const STEP_MS = 80, NEAR_PX = 0.5, WAIT_MS = 700, FAR = 1e9;
+const STEP_MS = 80, NEAR_PX = 0.5, WAIT_MS = 700, FAR = 1e9, END_PX = 7, CARRIED_BY = 5;
 const nothing = () => ({ page: data.page, done: [], undone: [], seen: [] });
 let work = nothing(), seen = new Set(); // seen: frames that were on the screen
-let passes = [], lost = 0, doubled = ""; // as folded; entries on passes that this page lacks; see onOneSpot
-let now = shown[0], chosen = null, range = "all", placing = null, hidden = false;
-let saved = true, timer = 0, typed = "", wait = 0;
+let passes = [], lost = 0, spots = new Map(); // as folded; entries on passes that this page lacks; see onOneSpot
+let now = shown[0], chosen = null, range = "all", placing = null, hidden = false, shifting = false, pulled = null;
+let saved = true, timer = 0, typed = "", wait = 0, stale = false; // stale: another tab has decided since
+const tabs = new BroadcastChannel(key);
 
 // The passes
 const placed = (frame, x, y, more) => ({ frame, x, y, visible: visibleShare(fan, x, y, radius_m), moved: true, ...more });
+
+const rotated = ([right, ahead], [cos, sin]) => [right * cos + ahead * sin, ahead * cos - right * sin];
+const stretchOf = (frame) => data.poses[frame]?.[4];
+
+/** Where a pixel of a frame lies on the floor, which stands still; null if the motion is not known. */
+function placeOf({ frame, x, y }) {
+  const pose = data.poses[frame], floor = floorFromPixel(fan, x, y);
+  return pose && !floor.some(Number.isNaN) ? rotated(floor, pose).map((v, axis) => v + pose[2 + axis]) : null;
+}
+
+function pixelOf([east, north], frame) {
+  const [cos, sin, x, y] = data.poses[frame];
+  return pixelFromFloor(fan, ...rotated([east - x, north - y], [cos, -sin]));
+}
 
 /** The pixel in a frame of what lies at a in one frame and at b in another: on a straight line on the
     floor; in the image where the sonar's motion from one to the other is not known. */
 function between(a, b, frame) {
   const mix = (p, q) => p.map((v, n) => v + (frame - a.frame) / (b.frame - a.frame) * (q[n] - v));
-  const poses = [a.frame, b.frame, frame].map((n) => data.poses[n]), [, , x, y, stretch] = poses[2] ?? [];
-  const floors = [a, b].map((one) => floorFromPixel(fan, one.x, one.y));
-  const known = stretch !== undefined && poses.every((pose) => pose?.[4] === stretch);
-  if (!known || floors.flat().some(Number.isNaN)) return mix([a.x, a.y], [b.x, b.y]);
-  const rotated = ([right, ahead], [cos, sin]) => [right * cos + ahead * sin, ahead * cos - right * sin];
-  const still = floors.map((floor, n) => rotated(floor, poses[n]).map((v, axis) => v + poses[n][2 + axis]));
-  const [east, north] = mix(...still), [cos, sin] = poses[2];
-  return pixelFromFloor(fan, ...rotated([east - x, north - y], [cos, -sin]));
+  const places = [a, b].map(placeOf), isOne = [a, b].every((one) => stretchOf(one.frame) === stretchOf(frame));
+  return isOne && places.every(Boolean) ? pixelOf(mix(...places), frame) : mix([a.x, a.y], [b.x, b.y]);
 }
 
-/** Drawn rows with a key frame at a pixel; those from it to the key frames about it are drawn anew. */
+/** The pixel in a frame of what lies still, as the nearest rows have it; null where the motion is not known. */
+function carried(rows, frame) {
+  const isBefore = frame < rows[0].frame, end = rows.at(isBefore ? 0 : -1);
+  const whole = rows.filter((one) => one.visible > 0.9), from = end.key || !whole.length ? [end] : whole;
+  const places = from.slice(...(isBefore ? [0, CARRIED_BY] : [-CARRIED_BY])).map(placeOf).filter(Boolean);
+  if (!places.length || stretchOf(frame) === undefined || stretchOf(frame) !== stretchOf(end.frame)) return null;
+  return pixelOf([0, 1].map((axis) => places.reduce((sum, place) => sum + place[axis], 0) / places.length), frame);
+}
+
+/** Rows from a first frame to a last one: cut there, or carried on while the landmark is in view; where the
+    motion is not known in the same pixel if held, else no further. */
+function reaching(rows, first, last, held) {
+  const kept = rows.filter((one) => one.frame >= first && one.frame <= last);
+  const beyond = (from, by, end) => {
+    const more = [];
+    for (let n = from + by; (end - n) * by >= 0; n += by) {
+      if (damaged.has(n)) continue;
+      const end = kept.at(by > 0 ? -1 : 0), pixel = carried(kept, n) ?? (held ? [end.x, end.y] : null);
+      const one = pixel && placed(n, ...pixel, { made: true });
+      if (!one?.visible) break;
+      more.push(one);
+    }
+    return more;
+  };
+  return kept.length ? [...beyond(kept[0].frame, -1, first).reverse(), ...kept, ...beyond(kept.at(-1).frame, 1, last)] : rows;
+}
+
+/** Rows with a key frame at a pixel. Rows made, not seen, are made anew up to the next that was seen. */
 function withKey(rows, frame, x, y) {
-  const keys = rows.filter((one) => one.key && one.frame !== frame), made = placed(frame, x, y, { key: true });
-  const found = new Map(rows.map((one) => [one.frame, one])).set(frame, made);
-  const before = keys.findLast((one) => one.frame < frame), after = keys.find((one) => one.frame > frame);
-  for (const [a, b] of [[before, made], [made, after]].filter((pair) => pair[0] && pair[1])) {
-    for (let n = a.frame + 1; n < b.frame; n++) if (!damaged.has(n)) found.set(n, placed(n, ...between(a, b, n)));
+  const others = rows.filter((one) => one.frame !== frame), key = placed(frame, x, y, { key: true });
+  const before = others.findLast((one) => !one.made && one.frame < frame), after = others.find((one) => !one.made && one.frame > frame);
+  const found = new Map(others.map((one) => [one.frame, one])).set(frame, key);
+  const make = (n, pixel) => found.set(n, placed(n, ...pixel, { made: true }));
+  for (const [a, b] of [[before, key], [key, after]].filter((pair) => pair[0] && pair[1])) {
+    for (let n = a.frame + 1; n < b.frame; n++) if (!damaged.has(n)) make(n, between(a, b, n));
   }
+  for (const { frame: n } of others.filter((one) => (one.frame < frame ? !before : !after))) make(n, carried([key], n) ?? [x, y]);
   return [...found.values()].sort((one, other) => one.frame - other.frame);
+}
+
+/** Rows shifted on the floor by as much as the one in a frame, to a pixel; in the image where the motion is not known. */
+function shifted(rows, frame, x, y) {
+  const from = rows.find((one) => one.frame === frame) ?? { frame, x, y }, [a, b] = [from, { frame, x, y }].map(placeOf);
+  return rows.map((one) => {
+    const place = a && b && placeOf(one), by = (axis) => place[axis] + b[axis] - a[axis];
+    return { ...one, ...placed(one.frame, ...(place ? pixelOf([by(0), by(1)], one.frame) : [one.x + x - from.x, one.y + y - from.y])) };
+  });
 }
 
 /** How much a row in frame n follows a change in a frame: 1 there, 0 in the next frames in the page. */
@@ -66,7 +113,9 @@ function partOf(made, { pass: id, from, to }) {
 /** What each kind of entry does to a pass. */
 const entries = {
   set: (pass, { state = pass.state, landmark = pass.landmark }) => ({ state, landmark }),
-  move: (pass, { frame, x, y }) => ({ rows: (pass.drawn ? withKey : moved)(pass.rows, frame, x, y) }),
+  move: (pass, { frame, x, y }) => ({ rows: (pass.drawn || at(pass, frame)?.made ? withKey : moved)(pass.rows, frame, x, y) }),
+  shift: (pass, { frame, x, y }) => ({ rows: shifted(pass.rows, frame, x, y) }),
+  reach: (pass, { first, last, held }) => ({ rows: reaching(pass.rows, first, last, held) }),
   remove: (pass, { frame }) => ({ rows: pass.rows.filter((one) => weight(one.frame, frame) <= 0.5) }),
 };
 
@@ -81,36 +130,54 @@ function fold() {
   }
   const place = (pass) => (order.indexOf(pass.id.split(">")[0]) + 1 || FAR) + pass.rows[0].frame / FAR;
   passes = [...made.values()].filter((pass) => pass.rows.length).sort((a, b) => place(a) - place(b));
-  doubled = onOneSpot();
+  spots = onOneSpot();
 }
 
-/** A warning if two accepted passes are within half a radius of each other in a frame, else "". */
+/** Of the outlines kept by frame those within a distance of this one, which is added to them. */
+function near(byFrame, { frame, x, y, made }, landmark, distance) {
+  const floor = floorFromPixel(fan, x, y), others = byFrame.get(frame) ?? [];
+  byFrame.set(frame, [...others, { landmark, floor, made }]);
+  return others.filter((one) => Math.hypot(one.floor[0] - floor[0], one.floor[1] - floor[1]) < distance);
+}
+
+/** By pass that would be saved, a warning if it is within half a radius of another in a frame. */
 function onOneSpot() {
-  const byFrame = new Map();
-  for (const { landmark, rows } of inState("accepted")) for (const { frame, x, y } of rows) {
-    const floor = floorFromPixel(fan, x, y), others = byFrame.get(frame) ?? [];
-    const other = others.find((one) => Math.hypot(one.floor[0] - floor[0], one.floor[1] - floor[1]) < radius_m / 2);
-    if (other) return `. ID.${other.landmark} and ID.${landmark} are accepted on the same spot in frame ${frame}: reject one`;
-    byFrame.set(frame, [...others, { landmark, floor }]);
+  const byFrame = new Map(), found = new Map();
+  for (const { id, landmark, rows } of passes.filter(isSaved)) for (const one of rows) {
+    const isOther = (each) => each.landmark !== landmark || !(each.made || one.made); // two of one ID are saved once
+    const other = near(byFrame, one, landmark, radius_m / 2).find(isOther);
+    if (other && !found.has(id)) found.set(id, `on the same spot as ${called(other.landmark)} in frame ${one.frame}`);
   }
-  return "";
+  return found;
 }
 
 // What is decided, kept in the browser, and saved
 const say = (text) => { part("say").textContent = text; };
-const decide = (entry) => { work.done.push(entry); work.undone = []; changed(""); };
+const RELOAD = "Another tab has decided on this log since: reload, so that nothing is lost.";
+function decide(entry) {
+  if (stale) return say(RELOAD);
+  work.done.push(entry);
+  work.undone = [];
+  changed("");
+}
 const storage = (use) => { try { return use(localStorage); } catch { part("refused").hidden = false; } };
-const keep = () => storage((kept) => kept.setItem(key, JSON.stringify({ ...work, seen: [...seen] })));
+function keep() {
+  const open = inState("open").length, unseen = data.frames - damaged.size - seen.size;
+  const counts = { passes: passes.length, open, decided: passes.length - open, unseen, saved };
+  if (!stale) storage((kept) => kept.setItem(key, JSON.stringify({ ...work, seen: [...seen], counts })));
+}
 
 function changed(text) {
   saved = false;
   fold();
   render();
   keep();
+  tabs.postMessage("decided");
   say(text);
 }
 
 function back(from, to, text) {
+  if (stale) return say(RELOAD);
   if (!from.length) return;
   to.push(from.pop());
   ({ pass: chosen, frame: now = now } = to.at(-1));
@@ -120,16 +187,26 @@ function back(from, to, text) {
 
 function csv() {
   const cell = (text) => (/[",\r\n]|^\s/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  const lines = data.kept.map(([frame, cells]) => [frame ?? FAR, 0, cells]);
-  for (const { state, landmark, left_out, rows } of passes) {
-    if (state === "rejected" || (left_out && state === "open")) continue;
-    for (const one of rows.filter((each) => each.visible > 0 || !each.moved)) {
-      const { frame, x, y, visible } = one, values = { landmark };
-      if (one.moved) Object.assign(values, { frame, x_px: x.toFixed(2), y_px: y.toFixed(2), visible: visible.toFixed(3) });
-      if (one.moved || state === "accepted") values.source = "";
-      const came = one.cells ?? data.header.map((name) => (name === "log" ? data.log : ""));
-      lines.push([one.frame, landmark, data.header.map((name, n) => String(values[name] ?? came[n]))]);
-    }
+  const lines = data.kept.map(([frame, cells]) => [frame ?? FAR, 0, cells]), track = data.header.indexOf("track");
+  const taken = new Map(), used = new Map(), rows = passes.flatMap((pass) => pass.rows.map((one) => [pass, one]));
+  let number = rows.reduce((most, [, { cells }]) => Math.max(most, Number(cells?.[track]) || 0), 0);
+  const rank = ([{ state }, { made }]) => (state === "rejected" ? 2 : made ? 1 : 0);
+  for (const [pass, one] of rows.sort((a, b) => rank(a) - rank(b))) {
+    const { id, state } = pass, isNone = state === "rejected", landmark = isNone ? "none" : pass.landmark;
+    const { frame, x, y, visible, moved: isMoved, cells } = one;
+    if (!(isSaved(pass) || isNone) || (isMoved && !visible)) continue;
+    // Of two on one spot that say the same the first is saved. Where a landmark is, but not the one that was
+    // rejected, the row teaches nothing.
+    const others = near(taken, one, landmark, radius_m).filter((other) => isNone || (other.landmark === landmark && (other.made || one.made)));
+    if (others.some((other) => other.landmark === landmark)) continue;
+    const free = (name) => ![...used].some(([of, taken]) => of !== id && taken === `${landmark} ${name}`);
+    if (!used.has(id)) used.set(id, `${landmark} ${cells?.[track] && free(cells[track]) ? cells[track] : ++number}`);
+    const values = { landmark, track: used.get(id).split(" ")[1] };
+    if (isMoved) Object.assign(values, { frame, x_px: x.toFixed(2), y_px: y.toFixed(2), visible: visible.toFixed(3) });
+    if (isMoved || state !== "open") values.source = "";
+    if (others.length) values.visible = 0;
+    const came = cells ?? data.header.map((column) => (column === "log" ? data.log : ""));
+    lines.push([frame, pass.landmark ?? FAR, data.header.map((column, n) => String(values[column] ?? came[n]))]);
   }
   lines.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   return [data.header, ...lines.map((line) => line[2])].map((cells) => cells.map(cell).join(",") + "\n");
@@ -139,7 +216,9 @@ function csv() {
 const count = (n, noun, ending = "s") => `${n} ${noun}${n === 1 ? "" : ending}`;
 const inState = (state) => passes.filter((pass) => pass.state === state);
 const current = () => passes.find((pass) => pass.id === chosen);
-const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)})`;
+const isSaved = ({ state, left_out }) => state === "accepted" || (state === "open" && !left_out);
+const called = (landmark) => (landmark === null ? "none" : `ID.${landmark}`);
+const tint = (landmark) => `--c: var(--bright-${ids.indexOf(landmark)}, #8b959e)`;
 const at = (pass, frame) => pass.rows.find((one) => one.frame === frame);
 function spanOf(pass, { from = -Infinity, to = Infinity } = {}) {
   const rows = pass.rows.filter((one) => one.frame >= from && one.frame <= to);
@@ -150,20 +229,55 @@ function left() {
   const open = inState("open"), out = open.filter((pass) => pass.left_out).length;
   const unseen = data.frames - damaged.size - seen.size;
   const of = `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}`;
-  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}${doubled}`;
+  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}${warning()}`;
+}
+
+function warning() {
+  const [id] = spots.keys(), pass = passes.find((one) => one.id === id);
+  return pass ? `. ${called(pass.landmark)} is ${spots.get(id)}: reject one` : "";
 }
 
 /** The corners of a plate, else the edge of a disc; nearer than the floor that at the nearest floor. */
 function outline({ corners }, { x, y, frame, moved }) {
   if (corners?.[frame] && !moved) return corners[frame];
+  return Array.from({ length: 48 }, (_, n) => onEdge(x, y, n * Math.PI / 24));
+}
+
+/** The pixel of the edge of a disc at a pixel, at an angle counter-clockwise from the right, seen from above. */
+function onEdge(x, y, angle) {
   let floor = floorFromPixel(fan, x, y);
   const steepest = Math.sqrt(1.05 ** 2 - 1) * fan.depth_m;
   if (!(Math.hypot(...floor) > steepest)) floor = [0, steepest];
   const [column, row] = pixelFromFloor(fan, ...floor);
-  return Array.from({ length: 48 }, (_, n) => {
-    const [right, ahead] = [Math.cos, Math.sin].map((of, axis) => floor[axis] + radius_m * of(n * Math.PI / 24));
-    return pixelFromFloor(fan, right, ahead).map((v, axis) => v + (axis ? y - row : x - column));
+  const [right, ahead] = [Math.cos, Math.sin].map((of, axis) => floor[axis] + radius_m * of(angle));
+  return pixelFromFloor(fan, right, ahead).map((v, axis) => v + (axis ? y - row : x - column));
+}
+
+/** The orientation, rad, of a pass in a frame: as measured there, else in the nearest frame, turned as the sonar was. */
+function turnIn({ orientations: turns = {} }, frame) {
+  const yaw = (n) => Math.atan2(data.poses[n]?.[1] ?? 0, data.poses[n]?.[0] ?? 1), distance = (n) => Math.abs(n - frame);
+  const from = Object.keys(turns).reduce((best, n) => (distance(n) < distance(best ?? FAR) ? n : best), null);
+  return from === null ? null : turns[from] * Math.PI / 180 + yaw(frame) - yaw(from);
+}
+
+/** Draw the chosen pass's ID into the picture, at its orientation; known for the ID that was recognised. */
+function drawSymbol(pass) {
+  const turn = turnIn(pass, now), { x, y } = at(pass, now), isOwn = data.passes.some((one) => one.id === pass.id.split(">")[0] && one.landmark === pass.landmark);
+  if (turn === null || !isOwn || Object.keys(pass.corners ?? {}).length) return;
+  const [a, b, c, d] = [turn, turn - Math.PI / 2].flatMap((angle) => onEdge(x, y, angle).map((v, axis) => (v - [x, y][axis]) / 49));
+  const transform = `matrix(${[a, b, c, d, x - 50 * (a + c), y - 50 * (b + d)].join(" ")})`;
+  drawn(part("marks"), "path", { d: data.glyphs[ids.indexOf(pass.landmark)], transform, class: "symbol", style: tint(pass.landmark) });
+}
+
+/** The mean picture of a pass; around it, bright, the directions that were read to be lit. */
+function mean({ picture: href, read = [] } = {}) {
+  part("mean").replaceChildren();
+  if (href) drawn(part("mean"), "image", { href, x: -50, y: -50, width: 100, height: 100 });
+  read.forEach((lit, n) => {
+    const [from, to] = [n, n + 1].map((k) => k * 2 * Math.PI / read.length).map((angle) => `${46 * Math.cos(angle)} ${-46 * Math.sin(angle)}`);
+    drawn(part("mean"), "path", { d: `M${from}A46 46 0 0 0 ${to}`, style: `opacity: ${lit / 9}` });
   });
+  part("mean").parentElement.hidden = !href;
 }
 
 function frame() {
@@ -174,20 +288,33 @@ function frame() {
   part("of").textContent = `of ${data.first} to ${last}` + (placing ? `; placing ID.${placing.landmark}` : "");
   part("grey").hidden = Boolean(held);
   part("grey").textContent = damaged.has(now) ? "This frame cannot be read." : "This frame is not in this page.";
-  part("pass").textContent = pass ? `ID.${pass.landmark}, ${spanOf(pass)}, ${pass.state}` : "No pass is chosen.";
+  part("pass").textContent = pass ? `${called(pass.landmark)}, ${spanOf(pass)}, ${pass.state}` : "No pass is chosen.";
   part("left").textContent = left();
   view.begin(fan.columns, fan.rows);
   for (const one of hidden ? [] : passes.filter((each) => at(each, now))) {
-    const label = `ID.${one.landmark}${one.state === "open" ? "?" : ""}`, corners = outline(one, at(one, now));
+    const label = `${called(one.landmark)}${one.state === "open" ? "?" : ""}`, corners = outline(one, at(one, now));
     const kind = `declared ${one.state}${one.id === chosen ? " chosen" : ""}`;
     view.mark({ corners, label, colour: ids.indexOf(one.landmark), pass: one.id }, kind);
   }
+  if (pass && !hidden && at(pass, now)) drawSymbol(pass);
   strip();
 }
 
-/** The bar of frames: which were seen, a line for each pass, and which is shown. */
+/** A lane of the strip for each pass, by its ID and so that none lies on another. */
+function lanesOf() {
+  const ends = [], lanes = new Map();
+  const first = (pass) => pass.rows[0].frame, order = (pass) => (pass.landmark === null ? FAR : ids.indexOf(pass.landmark));
+  for (const pass of [...passes].sort((a, b) => order(a) - order(b) || first(a) - first(b))) {
+    const free = ends.findIndex((end) => end.landmark === pass.landmark && end.last < first(pass)), lane = free < 0 ? ends.length : free;
+    ends[lane] = { landmark: pass.landmark, last: pass.rows.at(-1).frame };
+    lanes.set(pass.id, lane);
+  }
+  return [lanes, ends.length];
+}
+
+/** The bar of frames: which were seen, the passes, and which is shown. */
 function strip() {
-  const svg = part("strip"), lanes = [...new Set(passes.map((pass) => pass.landmark))], height = 1.6 + lanes.length;
+  const svg = part("strip"), [lanes, count] = lanesOf(), height = 1.6 + count;
   const add = (x, end, y, height, look) => drawn(svg, "rect", { x, width: end - x, y, height, ...look });
   const kindOf = (n) => (damaged.has(n) ? "damaged" : seen.has(n) ? "seen" : images[n] ? "unseen" : "absent");
   svg.replaceChildren();
@@ -197,12 +324,13 @@ function strip() {
     from = n + 1;
   }
   for (const { id, rows, state, landmark } of passes) {
-    const look = { class: `pass ${state}${id === chosen ? " chosen" : ""}`, style: tint(landmark) };
-    add(rows[0].frame, rows.at(-1).frame + 1, 1.6 + lanes.indexOf(landmark), 0.7, look);
+    const look = { class: `pass ${state}${id === chosen ? " chosen" : ""}`, style: tint(landmark), "data-pass": id };
+    const [first, end] = pulled?.id === id ? [pulled.first, pulled.last] : [rows[0].frame, rows.at(-1).frame];
+    add(first, end + 1, 1.6 + lanes.get(id), 0.7, look);
   }
   add(now, now + 1, 0, height, { class: "now" });
   svg.setAttribute("viewBox", `${data.first} 0 ${data.frames} ${height}`);
-  svg.style.height = `${12 * height}px`;
+  svg.style.height = `${Math.min(12 * height, innerHeight / 4)}px`;
 }
 
 const make = (tag, values, ...inside) => {
@@ -214,9 +342,10 @@ const make = (tag, values, ...inside) => {
 function render() {
   if (!current()) chosen = placing ? null : passes[0]?.id ?? null;
   part("list").replaceChildren(...passes.map(({ id, landmark, state, drawn, origin, belief, why = "", picture, ...of }) => {
-    const title = make("b", { textContent: `ID.${landmark}`, style: tint(landmark) });
-    const from = drawn ? origin : `${origin}, least belief ${belief.toFixed(2)}`;
-    const lines = [spanOf(of), from, why].map((textContent) => make("small", { textContent }));
+    const title = make("b", { textContent: called(landmark), style: tint(landmark) });
+    const sure = belief ? `least belief ${belief.toFixed(2)}` : "missed by the program";
+    const from = drawn || landmark === null ? origin : `${origin}, ${sure}`;
+    const lines = [spanOf(of), from, [why, spots.get(id)].filter(Boolean).join("; ")].map((textContent) => make("small", { textContent }));
     const inside = [make("span", {}, title, ...lines), make("em", { textContent: state })];
     if (picture) inside.unshift(make("img", { src: picture, alt: "" }));
     const item = make("button", { type: "button", className: `${state}${id === chosen ? " chosen" : ""}` }, ...inside);
@@ -226,6 +355,8 @@ function render() {
   for (const { style, className } of part("shares").children) style.flexGrow = inState(className).length;
   for (const act of ["all", "from", "to"]) button(act).ariaPressed = String(range === act);
   button("place").ariaPressed = String(Boolean(placing));
+  button("shift").ariaPressed = String(shifting);
+  mean(current());
   button("undo").disabled = !work.done.length;
   button("redo").disabled = !work.undone.length;
   frame();
@@ -240,7 +371,7 @@ function choose(id) {
   const rows = current()?.rows ?? [], first = rows.find((one) => images[one.frame]) ?? rows[0];
   if (first && !at(current(), now)) now = (at(current(), current().first_wrong) ?? first).frame;
   render();
-  const list = part("list"), item = list.querySelector(".chosen"), top = item?.offsetTop;
+  const list = part("passes"), item = list.querySelector(".chosen"), top = item?.offsetTop;
   if (top < list.scrollTop || top + item?.offsetHeight > list.scrollTop + list.clientHeight) list.scrollTop = top - 40;
 }
 
@@ -257,12 +388,30 @@ function step(by) {
 function set(values) {
   const pass = current(), of = { from: { from: now }, to: { to: now } }[range];
   if (!pass) return say("Choose a pass first.");
+  if (values.state === "accepted" && (values.landmark ?? pass.landmark) === null) return say("Type its ID.");
   range = "all";
   decide({ kind: "set", pass: pass.id, ...of, ...values });
-  say(`ID.${pass.landmark}, ${spanOf(pass, of)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
+  if (!stale) say(`${called(pass.landmark)}, ${spanOf(pass, of)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
   const order = passes.findIndex((one) => one.id === pass.id);
   const next = [...passes.slice(order), ...passes.slice(0, order)].find((one) => one.state === "open");
   if (next && values.state !== "open") choose(next.id);
+}
+
+/** Let the chosen pass begin or end in this frame, or as far as it is in view. */
+function reach(isFirst, { shiftKey }) {
+  const pass = current(), [first, last] = pass ? [pass.rows[0].frame, pass.rows.at(-1).frame] : [];
+  if (!pass) return say("Choose a pass first.");
+  const to = shiftKey ? (isFirst ? data.first : data.first + data.frames - 1) : now;
+  pull(pass, isFirst ? to : first, isFirst ? last : to, !shiftKey);
+}
+
+function pull(pass, first, last, held) {
+  if (first > pass.rows.at(-1).frame || last < pass.rows[0].frame) return say("That would leave nothing of the pass: reject it, or choose another.");
+  decide({ kind: "reach", pass: pass.id, first, last, held });
+  if (stale) return;
+  const { rows } = current(), ends = [rows[0].frame, rows.at(-1).frame], isKnown = ends.every((n) => stretchOf(n) === stretchOf(pass.rows[0].frame));
+  const further = isKnown && Object.keys(data.poses).length ? "" : " The motion is not known all along: drag the outlines to where it lies.";
+  say(`${called(pass.landmark)}: ${spanOf(current())}${ends[0] > first || ends[1] < last ? ", as far as it is in view" : ""}.${further}`);
 }
 
 const toPlace = () => `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.`;
@@ -293,6 +442,11 @@ const acts = {
   last: () => go(current()?.rows.at(-1).frame ?? last),
   up: () => neighbour(-1),
   down: () => neighbour(1),
+  begin: (event) => reach(true, event),
+  end: (event) => reach(false, event),
+  shift() { shifting = !shifting; say(shifting ? "A drag now shifts the whole pass." : ""); render(); },
+  log() { location.href = encodeURIComponent(data.next); },
+  again: () => location.reload(),
   hide() { hidden = !hidden; frame(); },
   fit: () => view.scale(0),
   bigger: () => view.scale(1.25),
@@ -320,12 +474,13 @@ const acts = {
   },
   save() {
     const lines = csv(), href = URL.createObjectURL(new Blob(lines, { type: "text/csv" }));
-    make("a", { href, download: "gt.csv" }).click();
+    make("a", { href, download: data.gt_name }).click();
     saved = true;
-    say(`gt.csv saved: ${count(lines.length - 1, "row")}. ${left()}.`);
+    keep();
+    say(`${data.gt_name} saved: ${count(lines.length - 1, "row")}. ${left()}.`);
   },
   take() { part("offer").hidden = true; },
-  leave() { work = nothing(); begin(); },
+  leave() { work = nothing(); tabs.postMessage("decided"); begin(); },
 };
 
 /** A press places where one is placed; else it takes the outline beneath it, that of the chosen first. */
@@ -357,7 +512,7 @@ view.press = (x, y, event) => {
     },
     end() {
       if (Math.hypot(to[0] - one.x, to[1] - one.y) < NEAR_PX) return;
-      decide({ kind: "move", pass: pass.id, frame: now, x: to[0], y: to[1] });
+      decide({ kind: shifting || event.shiftKey ? "shift" : "move", pass: pass.id, frame: now, x: to[0], y: to[1] });
     },
   };
 };
@@ -377,7 +532,7 @@ for (const each of document.querySelectorAll("[data-keys]")) {
 
 document.addEventListener("keydown", (event) => {
   const pressed = [" ", "Enter"].includes(event.key) && event.target.matches("button:focus-visible, summary");
-  if (event.ctrlKey || event.metaKey || event.altKey || pressed) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || pressed || (event.target.matches("input") && event.key.startsWith("Arrow"))) return;
   const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (act) acts[act](event);
   else if (/^\d$/.test(event.key)) digit(event.key);
@@ -396,11 +551,48 @@ document.addEventListener("click", (event) => {
   if (pass) choose(pass);
 });
 
-for (const kind of ["pointerdown", "pointermove"]) part("strip").addEventListener(kind, (event) => {
-  if (!event.buttons) return;
-  const box = part("strip").getBoundingClientRect();
-  go(data.first + Math.floor((event.clientX - box.left) / box.width * data.frames));
+/** The frame of a pointer on the strip; what a press takes: an end of a pass there, if it is at one. */
+const frameAt = (event, box = part("strip").getBoundingClientRect()) =>
+  Math.min(last, Math.max(data.first, data.first + Math.floor((event.clientX - box.left) / box.width * data.frames)));
+function takenAt(event) {
+  const boxes = [...part("strip").querySelectorAll(".pass")].map((one) => [one.dataset.pass, one.getBoundingClientRect()]);
+  const off = ([id, box]) => Math.min(...[box.left, box.right].map((end) => Math.abs(end - event.clientX))) - (id === chosen);
+  const [id, box] = boxes.filter(([, one]) => event.clientY >= one.top - 2 && event.clientY <= one.bottom + 2).sort((a, b) => off(a) - off(b))[0] ?? [];
+  if (!id || off([id, box]) > END_PX) return null;
+  const { rows } = passes.find((one) => one.id === id), isFirst = Math.abs(box.left - event.clientX) < Math.abs(box.right - event.clientX);
+  return { id, isFirst, first: rows[0].frame, last: rows.at(-1).frame, moved: false };
+}
+for (const kind of ["pointerdown", "pointermove", "pointerup"]) part("strip").addEventListener(kind, (event) => {
+  const n = frameAt(event);
+  if (kind === "pointerdown") {
+    part("strip").setPointerCapture(event.pointerId);
+    const end = takenAt(event);
+    if (end) choose(end.id);
+    pulled = end;
+  } else if (pulled && event.buttons) {
+    Object.assign(pulled, pulled.isFirst ? { first: Math.min(n, pulled.last) } : { last: Math.max(n, pulled.first) }, { moved: true });
+  } else if (pulled) {
+    const { first, last: end, moved: isMoved } = pulled, pass = current();
+    pulled = null;
+    if (isMoved && pass) pull(pass, first, end, true);
+  }
+  part("strip").style.cursor = takenAt(event) ? "ew-resize" : "";
+  if (event.buttons) go(n);
 });
+
+for (const id of ["brightness", "contrast"]) part(id).addEventListener("input", () => {
+  part("image").style.filter = `brightness(${part("brightness").value}) contrast(${part("contrast").value})`;
+});
+new ResizeObserver(() => frame()).observe(part("image").parentElement);
+
+// Each page of a log in another tab hears what this one does; the one that opened later is answered.
+tabs.onmessage = ({ data: what }) => {
+  if (what === "opened") return tabs.postMessage("here");
+  stale ||= what === "decided";
+  part("twin").hidden = false;
+  part("twin").firstElementChild.textContent = stale ? RELOAD : "This log is open in another tab, too. Decide in one of them: the other has to be reloaded then.";
+};
+tabs.postMessage("opened");
 
 addEventListener("beforeunload", (event) => { if (!part("refused").hidden && !saved) event.preventDefault(); });
 

@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import dist
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage
-from sonarrec.drawing.pen import landmark_colours
+from sonarrec.arrays import ByteImage, FloatArray
+from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.drawing.results import outline_of
 from sonarrec.errors import (
     Diagnostics,
@@ -36,8 +36,9 @@ from sonarrec.overlays.overlay import find_both
 from sonarrec.passes import ended
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
-from sonarrec.readers.open import Source
+from sonarrec.readers.open import Source, own_file
 from sonarrec.records import VERSION, Frame
+from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
@@ -45,6 +46,7 @@ from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     LogResults,
     check_same_log,
+    of_methods,
     read_estimates,
     read_log,
     why_incomplete,
@@ -60,7 +62,10 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, rea
 MOST_BYTES = 24_900_000  # of a page
 ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its image
 QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
-PICTURE_PX = 64  # of a pass in the list
+PICTURE_PX = 64  # of a pass
+SHOWN = 1.3  # radii from the middle of such a picture to its edge
+MOST_ADDED = 12  # frames in one
+IMAGES = '"images":{"":""'  # where they go in the page, so that they are held once
 _REPLACED = {"timestamp_ns": "frame", "range_m": "x_px", "bearing_deg": "y_px"}
 """Columns of a truth in place of which others are saved, since two could contradict each other."""
 
@@ -75,18 +80,33 @@ class _Row(NamedTuple):
     cells: list[str]
 
 
+class Summary(NamedTuple):
+    """What the start page of several logs says of a page; key: under which the browser keeps the
+    decisions. gt_name: what the page saves."""
+
+    name: str
+    page: str
+    key: str
+    gt_name: str
+    frames: int
+    passes: int
+    open: int
+    lowest: float | None
+
+
 @dataclass(slots=True)
 class _Pass:
     """A landmark on its way through the view; the page's script has these fields, too.
 
-    id: the same on every page of these tracks or this truth. state: open or accepted. left_out:
-    whether it is saved only once accepted. why: what speaks against it. belief: see
-    `_find_beliefs`. wrong: frames in which results and truth disagree; first_wrong: the first of
-    the longest such run. corners: of a plate, by frame.
+    id: the same on every page of these tracks or this truth. landmark: None for an object that is
+    none. state: open, accepted or rejected. left_out: whether it is saved only once accepted. why:
+    what speaks against it. belief, orientations, corners, read: see `_find_beliefs`. wrong: frames
+    in which results and truth disagree; first_wrong: the first of the longest such run. picture:
+    mean of frames, each rotated so that the first sector begins at the right.
     """
 
     id: str
-    landmark: int
+    landmark: int | None
     origin: str
     rows: list[_Row]
     state: str = "open"
@@ -96,6 +116,8 @@ class _Pass:
     wrong: int = 0
     first_wrong: int = -1
     picture: str = ""
+    read: list[float] = field(default_factory=list)
+    orientations: dict[int, float] = field(default_factory=dict)
     corners: dict[int, list[list[float]]] = field(default_factory=dict)
 
 
@@ -119,13 +141,15 @@ def review(
     spans: Sequence[tuple[int, int | None]] = (),
     mistakes: bool = False,
     method: str | None = None,
-) -> tuple[str, Diagnostics]:
-    """Write the page of one log; (a line on what is in it, faults and notes).
+    start: str = "",
+    following: str = "",
+) -> tuple[str, Summary, Diagnostics]:
+    """Write the page of one log; (a line on what is in it, a summary, faults and notes).
 
     log, results: as `find_both` takes them. truth: default: the log's own gt.csv, if there is one.
     every, spans: frames in the page; all rows are in it anyway.
     mistakes: begin with the passes on which results and truth disagree. method: that of the tracks;
-    None: the leading one.
+    None: the leading one. start, following: of several logs the start page, and the next page.
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
     (source, folder), diagnostics = find_both(Path(log), results), Diagnostics()
@@ -135,6 +159,7 @@ def review(
             f"{folder}: its run.toml does not state the sonar's geometry; run again"
         )
     method = method or leading(found.methods)
+    found = of_methods(found, [method])
     truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
     diagnostics.problem(*why_incomplete(found, "shown"))
@@ -153,12 +178,20 @@ def review(
         check_same_log(recording, folder, found.run)
         frames = _Frames(recording, found, spans, every, passes)
         diagnostics.problem(*recording.diagnostics.problems)
-    write_page(out, _page(found, folder, truth, frames, table, passes))
+    gt_name = own_file(source.location, TRUTH_FILE).name
+    unsure = [one for one in passes if one.state == "open"]
+    lowest = min((one.belief for one in unsure), default=None)
+    counts = len(frames.numbers), len(passes), len(unsure), lowest
+    summary = Summary(found.name, out.name, _key(found, folder, truth), gt_name, *counts)
+    page = _page(found, summary, (start, following), truth, frames, table, passes, folder)
+    head, tail = page.split(IMAGES)
+    parts = [head, '"images":{']
+    for k, (n, image) in enumerate(frames.images.items()):
+        parts += ["," * bool(k), f'"{n}":"', image, '"']
+    write_page(out, *parts, tail)
     size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
-    opened = (
-        f"{number_of(len(passes), 'pass', 'es')}, {sum(p.state == 'open' for p in passes)} open"
-    )
-    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", diagnostics
+    opened = f"{number_of(len(passes), 'pass', 'es')}, {len(unsure)} open"
+    return f"{out}: {size:.1f} MB, {held}, {opened}; open it in a browser", summary, diagnostics
 
 
 # The passes
@@ -184,10 +217,13 @@ def _of_truth(
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to show")
     if (wrong := misfit(truth, named, matched)) is not None:
         raise SonarrecError(wrong)
+    strangers = match_truth(truth, named, strangers=True)
+    others = strangers.pixels(found.fan)
+    assert others is not None
     columns, cells = read_cells(path)
     replaced = [c for c in _REPLACED if c in columns]
     header = list(dict.fromkeys(_REPLACED.get(c, c) for c in columns))
-    table = _Table(header + [c for c in ("visible", "source") if c not in header])
+    table = _Table(header + [c for c in ("visible", "track", "source") if c not in header])
     table.log = "" if truth.log is None else name
     if replaced:
         of = ", ".join(replaced)
@@ -198,26 +234,45 @@ def _of_truth(
             (dict(zip(columns, cells[row], strict=False)) | values).get(c, "") for c in table.header
         ]
 
-    slant_m, bearing_deg = polar_from_pixel(found.fan, *pixels.T)
-    floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
-    rows = defaultdict[int, list[_Row]](list)
-    for n in np.argsort(matched.frame_index, kind="stable").tolist():
-        frame = int(found.frame[matched.frame_index[n]])
-        landmark = found.landmarks.ids[matched.landmark_index[n]]
-        x, y = pixels[n].tolist()
-        pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
-        came = cells_of(int(matched.row[n]), frame=str(frame), **pixel)
-        rows[landmark].append(_Row(frame, x, y, float(matched.visible[n]), came))
-        occupied[frame, landmark].append(floor[n].tolist())
+    kept = {*range(len(truth.keys))}
+    orientations: FloatArray = np.full(len(pixels), np.nan)
+    if matched.orientation is not None:
+        orientations = matched.orientation
+    rows = defaultdict[tuple[int | None, str], list[_Row]](list)
+    oriented = dict[tuple[int | None, int], float]()
+    sides = ((matched, pixels, found.landmarks.ids), (strangers, others, ()))
+    for match, positions, ids in sides:
+        slant_m, bearing_deg = polar_from_pixel(found.fan, *positions.T)
+        floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
+        for n in np.argsort(match.frame_index, kind="stable").tolist():
+            x, y = positions[n].tolist()
+            if not np.isfinite(x + y):
+                continue  # it says that the frame was looked at
+            frame = int(found.frame[match.frame_index[n]])
+            landmark = ids[match.landmark_index[n]] if ids else None
+            pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
+            came = cells_of(int(match.row[n]), frame=str(frame), **pixel)
+            track = came[table.header.index("track")]
+            rows[landmark, track].append(_Row(frame, x, y, float(match.visible[n]), came))
+            if ids and np.isfinite(orientations[n]):
+                oriented[landmark, frame] = float(orientations[n])
+            # What is no landmark is none of any ID.
+            for k in (landmark,) if landmark is not None else found.landmarks.ids:
+                occupied[frame, k].append(floor[n].tolist())
+            kept.discard(int(match.row[n]))
     passes, column = [], table.header.index("source")
-    for landmark, of_landmark in rows.items():
-        for part in _split(of_landmark, stretch):
+    for (landmark, track), of_landmark in rows.items():
+        for part in _split(of_landmark, stretch, is_one=bool(track)):
             proposed = {row.cells[column] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
-            state = "open" if proposed else "accepted"
-            passes.append(_Pass(made, landmark, "truth", part, state))
+            state = "open" if proposed else "accepted" if landmark is not None else "rejected"
+            one = _Pass(made, landmark, "truth", part, state)
+            one.orientations = {
+                f: oriented[landmark, f] for f, *_ in part if (landmark, f) in oriented
+            }
+            passes.append(one)
     saves_all = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
-    rest = sorted({*range(len(truth.keys))} - {*matched.row.tolist()})
+    rest = sorted(kept)
     for n in rest if saves_all else ():
         is_mine = truth.log is None or truth.log[n] == name
         table.kept.append((int(truth.keys[n]) if is_mine else None, cells_of(n)))
@@ -256,36 +311,67 @@ def _of_tracks(
                 yield one
 
 
-def _split(rows: Iterable[_Row], stretch: Mapping[int, int]) -> list[list[_Row]]:
+def _split(
+    rows: Iterable[_Row], stretch: Mapping[int, int], *, is_one: bool = False
+) -> list[list[_Row]]:
     """Rows of one landmark, rising in frame, as passes: each row goes on with the nearest pass that
-    has not ended, in its stretch. stretch: the number of each frame's."""
+    has not ended, in its stretch. stretch: the number of each frame's. is_one: the rows have one
+    number of a track, so that only their stretch ends a pass."""
     passes: list[list[_Row]] = []
+    going: list[list[_Row]] = []
     for row in rows:
-        here = (p for p in passes if stretch[p[-1].frame] == stretch[row.frame])
-        going = [p for p in here if p[-1].frame < row.frame and not ended(p[-1].frame, row.frame)]
-        if going:
-            min(going, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
+        going = [
+            p
+            for p in going
+            if stretch[p[-1].frame] == stretch[row.frame]
+            and (is_one or not ended(p[-1].frame, row.frame))
+        ]
+        free = [p for p in going if p[-1].frame < row.frame]
+        if free:
+            min(free, key=lambda p: dist((p[-1].x, p[-1].y), (row.x, row.y))).append(row)
         else:
             passes.append([row])
+            going.append(passes[-1])
     return passes
 
 
 def _find_beliefs(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
     """Find each pass's least belief, the lowest probability of its ID where the method declares an
-    ID on it (0 if it never does), and its corners."""
+    ID on it (0 if it never does), its corners, its orientation by frame, in deg, and the symbol
+    that was read: the mean probability, 0 to 9, that each of 36 directions is lit, from the first
+    sector's begin on."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
-    by_frame = dict(read_estimates(folder / "estimates.csv", method, landmarks, fan))
+    on_frame = defaultdict[int, list[tuple[_Pass, _Row]]](list)
+    read = dict[str, FloatArray]()
     reach_px = landmarks.radius_m / fan.metres_per_pixel
     for one in passes:
-        k, beliefs = landmarks.ids.index(one.landmark), []
+        one.belief = 1.0
         for row in one.rows:
-            for e in by_frame.get(row.frame, ()):
-                if dist((e.x_px, e.y_px), (row.x, row.y)) < reach_px:
-                    beliefs += [float(e.probabilities[k])] * e.declared
-                    if e.corners is not None:
-                        one.corners[row.frame] = outline_of(e, fan, landmarks).round(1).tolist()
-        one.belief = round(min(beliefs, default=0.0), 3)
+            on_frame[row.frame].append((one, row))
+    declared = set[str]()
+    for frame, estimates in read_estimates(folder / "estimates.csv", method, landmarks, fan):
+        for one, row in on_frame.get(frame, ()):
+            for e in estimates:
+                if dist((e.x_px, e.y_px), (row.x, row.y)) >= reach_px:
+                    continue
+                if e.declared and one.landmark is not None:
+                    k = landmarks.ids.index(one.landmark)
+                    one.belief = min(one.belief, round(float(e.probabilities[k]), 3))
+                    declared.add(one.id)
+                if e.corners is not None:
+                    one.corners[frame] = outline_of(e, fan, landmarks).round(1).tolist()
+                if np.isfinite(e.orientation_deg):
+                    orientation = one.orientations.setdefault(frame, round(e.orientation_deg, 1))
+                    if e.read:
+                        lit = np.frombuffer(e.read.encode(), np.uint8) - ord("0")
+                        begin = round((90 - e.bearing_deg - orientation) / 360 * len(lit))
+                        sums = read.setdefault(one.id, np.zeros(1 + len(lit)))
+                        sums += [1, *np.roll(lit, begin)]
+    for one in passes:
+        one.belief *= one.id in declared
+        if one.id in read:
+            one.read = (read[one.id][1:] / read[one.id][0]).round(1).tolist()
 
 
 def _mark_mistakes(
@@ -351,32 +437,47 @@ class _Frames:
         if not wanted:
             raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
+        held = 0
         rows = sum(len(one.rows) for one in passes)
         room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
-        seen, order, step, span = list[int](), 0, 1, found.run.span() or (0, None)
-        middles = defaultdict[int, list[tuple[_Pass, _Row]]](list)
+        seen, step, span = set[int](), 1, found.run.span() or (0, None)
+        rank = {n: k for k, n in enumerate(sorted(wanted))}
+        passed_over = {-1}  # not empty, since it is filled once the first frame is there
+        to_add = defaultdict[int, list[tuple[_Pass, _Row]]](list)
+        sums = {one.id: np.zeros((PICTURE_PX, PICTURE_PX), np.float32) for one in passes}
         for one in passes:
-            most = max(row.visible for row in one.rows)
-            best = [row for row in one.rows if row.visible == most]
-            middles[best[len(best) // 2].frame].append((one, best[len(best) // 2]))
-        for frame in log.within(span):
-            seen.append(frame.index)
-            for one, row in middles[frame.index]:
-                one.picture = _picture(frame, row, found.landmarks.radius_m)
+            shown = [row for row in one.rows if row.frame in one.orientations]
+            best = max(one.rows, key=lambda row: row.visible)
+            for row in shown[:: -(-len(shown) // MOST_ADDED)] if shown else [best]:
+                to_add[row.frame].append((one, row))
+        for frame in log.within(span, passed_over):
+            seen.add(frame.index)
+            for one, row in to_add.get(frame.index, ()):
+                orientation = one.orientations.get(row.frame, 0)
+                sums[one.id] += _upright(frame, row, orientation, found.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
-            if (
-                not self.images
-            ):  # the first frame decides the quality: the best with which all fit in
-                sizes = ((q, len(wanted) * len(_as_jpeg(frame.image, q))) for q in QUALITIES)
-                quality = next((q for q, size in sizes if size <= room), QUALITIES[-1])
-            if order % step == 0:
+            if not self.images:
+                # The first frame decides the quality, the best with which all fit in, and the step.
+                sizes = {q: len(wanted) * len(_as_jpeg(frame.image, q)) for q in QUALITIES}
+                quality = next((q for q in QUALITIES if sizes[q] <= room), QUALITIES[-1])
+                while sizes[quality] / step > 1.1 * max(room, 1) and step < len(wanted):
+                    step *= 2
+                kept = {n for n in wanted if rank[n] % step == 0}
+                passed_over |= {*found.frame.tolist()} - kept - {*to_add}
+            if rank[frame.index] % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
-            order += 1
-            while sum(map(len, self.images.values())) > room and len(self.images) > 1:
+                held += len(self.images[frame.index])
+            while held > room and len(self.images) > 1:
                 step *= 2
-                self.images = dict([*self.images.items()][::2])
-        last = log.frame_count or seen[-1] + 1
+                self.images = {n: uri for n, uri in self.images.items() if rank[n] % step == 0}
+                held = sum(map(len, self.images.values()))
+        for one in passes:
+            low, high = np.percentile(sums[one.id], (1, 99))
+            levels = np.clip(255 * (sums[one.id] - low) / max(high - low, 1), 0, 255)
+            one.picture = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
+        seen |= {*found.frame.tolist()}  # the run could read those that were passed over
+        last = log.frame_count or max(seen) + 1
         self.numbers = range(span[0], min(last, span[1] or last))
         self.damaged = sorted({*self.numbers} - {*seen})
 
@@ -391,18 +492,31 @@ def _as_jpeg(image: ByteImage, quality: int) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def _picture(frame: Frame, row: _Row, radius_m: float) -> str:
-    """The part of a frame about a row, as a data URI."""
-    side = max(3, round(2.6 * radius_m / frame.fan.metres_per_pixel))
-    cut = cv2.getRectSubPix(
-        cv2.copyMakeBorder(frame.image, side, side, side, side, cv2.BORDER_CONSTANT),
-        (side, side),
-        (row.x + side, row.y + side),
+def _upright(frame: Frame, row: _Row, orientation_deg: float, radius_m: float) -> ByteImage:
+    """The floor about a row, seen from above, its orientation taken back to 0."""
+    middle = (PICTURE_PX - 1) / 2
+    axes = disc_outline(
+        frame.fan,
+        SHOWN * radius_m,
+        row.x,
+        row.y,
+        np.radians([orientation_deg, orientation_deg + 90]),
     )
-    return _as_jpeg(np.asarray(cv2.resize(cut, (PICTURE_PX, PICTURE_PX)), np.uint8), QUALITIES[0])
+    source = np.array([(row.x, row.y), *axes], np.float32)
+    edge = (middle, middle), (PICTURE_PX - 0.5, middle), (middle, -0.5)
+    affine = cv2.getAffineTransform(np.array(edge, np.float32), source)
+    size, flags = (PICTURE_PX, PICTURE_PX), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(frame.image, affine, size, flags=flags), np.uint8)
 
 
 # The page
+
+
+def _key(found: LogResults, folder: Path, truth: Path | None) -> str:
+    """What the browser keeps the decisions on a log and a truth under."""
+    of_log = found.run.input.sha256 or str(folder.resolve())
+    of_truth = "" if truth is None else hashlib.sha256(truth.read_bytes()).hexdigest()
+    return hashlib.sha256(f"{of_log} {of_truth}".encode()).hexdigest()
 
 
 def _poses(folder: Path) -> dict[int, list[float]]:
@@ -421,28 +535,36 @@ def _poses(folder: Path) -> dict[int, list[float]]:
 
 def _page(
     found: LogResults,
-    folder: Path,
+    summary: Summary,
+    links: tuple[str, str],
     truth: Path | None,
     frames: _Frames,
     table: _Table,
     passes: Sequence[_Pass],
+    folder: Path,
 ) -> str:
-    """The whole page as HTML."""
+    """The whole page as HTML, with IMAGES where these go. links: to the start page and to the next
+    log, or empty."""
     fan, landmarks = found.fan, found.landmarks
     assert fan is not None
-    of_log = found.run.input.sha256 or str(folder.resolve())
-    of_truth = "" if truth is None else hashlib.sha256(truth.read_bytes()).hexdigest()
-    made = [asdict(one) | {"rows": [row._asdict() for row in one.rows]} for one in passes]
+    names = [each.name for each in fields(_Pass)]
+    made = [
+        {name: getattr(one, name) for name in names} | {"rows": [row._asdict() for row in one.rows]}
+        for one in passes
+    ]
     data = {
-        "key": hashlib.sha256(f"{of_log} {of_truth}".encode()).hexdigest(),
+        "key": summary.key,
         "page": hashlib.sha256(json.dumps([table.header, made]).encode()).hexdigest(),
+        "gt_name": summary.gt_name,
+        "next": links[1],
         "fan": asdict(fan) | {"depth_m": floor_depth(fan)},
         "ids": landmarks.ids,
+        "glyphs": [glyph(landmarks, k) for k in range(len(landmarks.ids))],
         "radius_m": landmarks.radius_m,
         "first": frames.numbers.start,
         "frames": len(frames.numbers),
         "damaged": frames.damaged,
-        "images": frames.images,
+        "images": {"": ""},
         "poses": _poses(folder),
         "passes": made,
         **asdict(table),
@@ -454,9 +576,11 @@ def _page(
         data,
         version=VERSION,
         name=found.name,
+        gt_name=printable(summary.gt_name),
+        links=links,
         truth=None if truth is None else printable(truth.name),
-        ratio=fan.columns / fan.rows,
         ids=landmarks.ids,
+        glyphs=data["glyphs"],
         colours=[
             "#{:02x}{:02x}{:02x}".format(*c) for c in landmark_colours(landmarks.ids).values()
         ],

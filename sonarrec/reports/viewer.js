@@ -46,7 +46,7 @@ function drawn(svg, name, attributes, text = "") {
 class View {
   /** svg: lies on the image, in a box that hides what is beyond it. */
   constructor(svg, image) {
-    Object.assign(this, { svg, image, size: [1, 1], zoom: 1, left: 0, top: 0 });
+    Object.assign(this, { svg, image, size: [1, 1], margin: [0, 0], zoom: 1, left: 0, top: 0 });
     this.press = () => null; // what follows a press, (x, y, event): {move(x, y), end()}; null: it drags
     const fingers = new Map();
     let taken = null;
@@ -80,9 +80,11 @@ class View {
     });
   }
 
-  /** Begin a frame of this size; what was on the last one is removed. */
-  begin(...size) {
-    this.size = size;
+  /** Begin a frame of this size, in the middle of the box; what was on the last one is removed. */
+  begin(columns, rows) {
+    const { width, height } = this.svg.getBoundingClientRect(), shape = width && height ? width / height : columns / rows;
+    this.size = [Math.max(columns, rows * shape), Math.max(rows, columns / shape)];
+    this.margin = [(this.size[0] - columns) / 2, (this.size[1] - rows) / 2];
     this.svg.replaceChildren();
     this.place(this.left, this.top);
   }
@@ -95,7 +97,7 @@ class View {
 
   /** The pixel of a pointer. */
   pixel(event) {
-    return this.share(event).map((v, n) => ([this.left, this.top][n] + v / this.zoom) * this.size[n] - 0.5);
+    return this.share(event).map((v, n) => ([this.left, this.top][n] + v / this.zoom) * this.size[n] - 0.5 - this.margin[n]);
   }
 
   /** Zoom by a factor about a point of the box. */
@@ -111,7 +113,8 @@ class View {
     const [width, height] = this.size, part = 1 / this.zoom;
     [this.left, this.top] = [left, top].map((v) => Math.min(1 - part, Math.max(0, v)));
     this.image.style.transform = `scale(${this.zoom}) translate(${-100 * this.left}%, ${-100 * this.top}%)`;
-    const box = [this.left * width - 0.5, this.top * height - 0.5, part * width, part * height];
+    const [x, y] = [this.left * width, this.top * height].map((v, n) => v - 0.5 - this.margin[n]);
+    const box = [x, y, part * width, part * height];
     this.svg.setAttribute("viewBox", box.join(" "));
     this.svg.style.fontSize = Math.max(width, height) / 36 * part + "px"; // in the frame's pixels
   }

@@ -369,6 +369,7 @@ def _estimates_in(
     # Other programs may have a column of this name.
     symbols = [text if _READ.fullmatch(str(text)) else "" for text in table.get("read", blank)]
     corners = np.stack([table.get(name, blank) for name in CORNERS], axis=1).reshape(-1, 4, 2)
+    complete_corners = np.isfinite(corners).all(axis=(1, 2))
     of_estimates = {
         **positions(table, fan),
         **{name: table.get(name, blank) for name in ("orientation_deg", *SIGMAS)},
@@ -383,7 +384,7 @@ def _estimates_in(
         estimate = Estimate(
             method=str(methods[n]),
             probabilities=beliefs[n],
-            corners=None if np.isnan(corners[n]).any() else corners[n],
+            corners=corners[n] if complete_corners[n] else None,
             read=symbols[n],
             **{name: values[k] for name, values in numbers.items()},
         )

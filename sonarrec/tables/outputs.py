@@ -304,10 +304,14 @@ def as_cell(text: str) -> str:
     return f"'{text}" if text.startswith(("=", "+", "@")) else text
 
 
-def write_page(path: Path, page: str) -> None:
-    """Write an HTML page. Raises SonarrecError."""
-    with writing(path):
-        write_text(path, page)
+def write_page(path: Path, *parts: str) -> None:
+    """Write an HTML page, given in parts. Raises SonarrecError."""
+    with (
+        writing(path),
+        replaced(path) as new,
+        new.open("w", encoding="utf-8", newline="") as file,
+    ):
+        file.writelines(parts)
 
 
 def with_mark(png: bytes) -> bytes:

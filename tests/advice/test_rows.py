@@ -252,3 +252,23 @@ def test_many_faults_of_a_kind_are_counted(tmp_path: Path, log: Path) -> None:
     assert done.stdout.count("ID.5 is not in the set 'basin' (1, 2, 3, 4), in 50 rows;") == 1
     assert done.stdout.count("visible is a share") == 20
     assert "... and 30 more of this kind: visible" in done.stdout
+
+
+def test_the_truth_of_each_log_is_found(tmp_path: Path) -> None:
+    """In or next to the log, or in a folder of truths; a log without costs itself."""
+    camp, labelled = tmp_path / "camp", tmp_path / "labelled"
+    labelled.mkdir()
+    images = [np.zeros((60, 112), np.uint8) for _ in range(3)]
+    for name in ("one", "two"):
+        image_folder(camp / name, images)
+    truth(tmp_path, ["0,1,2.0,0.0"]).rename(labelled / "one.gt.csv")
+    done = run(labelled, camp, code=3)
+    assert f"{labelled}/one.gt.csv: 1 row, no fault" in done.stdout
+    assert f"{labelled}/two.gt.csv" in done.stderr
+    truth(tmp_path, ["0,1,2.0,0.0", "1,1,2.0,0.0"]).rename(camp / "two" / "gt.csv")
+    shutil.copy(labelled / "one.gt.csv", camp)
+    done = run(camp)
+    assert "one.gt.csv: 1 row" in done.stdout
+    assert "two/gt.csv: 2 rows" in done.stdout
+    assert "1 row" in run(camp / "one").stdout
+    assert "name the log" in run(labelled / "one.gt.csv", code=2).stderr

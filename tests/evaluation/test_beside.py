@@ -70,6 +70,21 @@ def test_each_log_has_its_own(logs: Path) -> None:
         assert {row["log"] for row in csv.DictReader(file)} == {"", "a", "b", "pings"}
 
 
+def test_truths_in_one_folder(logs: Path) -> None:
+    """As a browser downloads what its pages save; the truth next to a log is not used then."""
+    labelled = logs / "labelled"
+    labelled.mkdir()
+    truth(logs / "logs" / "b.gt.csv", range(8))
+    for name, frames in (("a", 4), ("pings", 12)):
+        truth(labelled / f"{name}.gt.csv", range(frames))
+    done = command(logs / "out", "--ground-truth", labelled, code=3)
+    assert f"no b.gt.csv in {labelled}" in done.stderr
+    with (logs / "out" / "evaluation" / "figures.csv").open() as file:
+        assert {row["log"] for row in csv.DictReader(file)} == {"", "a", "pings"}
+    compared = command("--compare", logs / "out", logs / "out", "--ground-truth", labelled, code=3)
+    assert "no b.gt.csv" in compared.stderr
+
+
 def test_a_log_without_truth_is_left_out_and_said(logs: Path) -> None:
     truth(logs / "logs" / "a.gt.csv", range(4))
     done = command(logs / "out", code=3)

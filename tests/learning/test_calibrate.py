@@ -209,6 +209,25 @@ def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
     assert false["learned"] < 0.7 * false["built_in"]
 
 
+@pytest.mark.slow
+def test_a_rejected_id_on_a_landmark_teaches_nothing(tmp_path):
+    """As the review page saves it: a row `none` that shows nothing, where another ID lies."""
+    models = []
+    lines = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
+    head = lines[0].split(",")
+    rejected = []
+    for line in lines[1::2]:
+        cells = dict(zip(head, line.split(","), strict=True)) | {"landmark": "none", "visible": "0"}
+        rejected.append(",".join(cells.values()))
+    for name, rows in (("without", lines), ("with", [*lines, *rejected])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([*rows, ""]))
+        model = tmp_path / f"{name}.toml"
+        given = ("--ground-truth", tmp_path / f"{name}.csv", "-o", model)
+        sonarrec("calibrate", SAMPLES / "pan", *given, "-q")
+        models.append([line for line in model.read_text().splitlines() if line[:1] != "#"])
+    assert models[0] == models[1]
+
+
 def test_a_model_without_use_is_refused(tmp_path):
     model = labelled(tmp_path / "model.toml", as_toml(built_in_weights()))
     arguments = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")

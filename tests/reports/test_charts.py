@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports import charts
+from sonarrec.reports.glyphs import glyph
 
 
 @given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
@@ -82,7 +83,7 @@ def test_the_landmark_drawn_is_the_landmark() -> None:
 
     for k in range(len(landmarks.ids)):
         inside = np.zeros(len(x), dtype=bool)
-        for part in charts.glyph(landmarks, k).split("M")[1:]:
+        for part in glyph(landmarks, k).split("M")[1:]:
             inside ^= Outline(traced(part)).contains_points(
                 np.column_stack([50 + 49 * x, 50 - 49 * y])
             )

@@ -24,10 +24,11 @@ from sonarrec.geometry import (
 )
 from sonarrec.results.read import read_log
 from sonarrec.truth.match import share_in_image
-from tests.support.browser import COLOURS, contrast, look
+from tests.support.browser import COLOURS, contrast
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.pages import as_written
+from tests.support.review_page import Page
 from tests.support.rows import read_rows
 
 ENTER, RIGHT = "\ue007", "\ue014"
@@ -150,6 +151,7 @@ def test_a_truth_and_what_it_lacks(ran: Path, tmp_path: Path) -> None:
         "y_px",
         "visible",
         "orientation_deg",
+        "track",
         "source",
     ]
     listed = [(p["landmark"], p["rows"][0]["frame"], p["state"], p["why"]) for p in found["passes"]]
@@ -226,10 +228,10 @@ def test_a_folder_of_logs_has_a_page_each(tmp_path: Path) -> None:
     sonarrec("run", logs / "a.mcap", logs / "b.mcap", *few)
     where = ("--results", tmp_path / "out", "-o", tmp_path / "pages")
     done = sonarrec("truth", "review", logs, *where, code=3)  # c has no results
-    assert len(done.stdout.splitlines()) == 2
+    assert len(done.stdout.splitlines()) == 3  # and the start page
     assert str(logs / "c.mcap") in done.stderr
     for name in ("a", "b"):
-        page = tmp_path / "pages" / f"{name}.mcap.html"
+        page = tmp_path / "pages" / f"{name}.html"
         assert f"<h1>{name}</h1>" in page.read_text()
         found = data_of(page)
         assert (found["first"], found["frames"], len(found["images"])) == (30, 12, 12)
@@ -245,78 +247,6 @@ def test_nothing_but_an_older_page_is_replaced(ran: Path, tmp_path: Path) -> Non
 
 
 # In a browser
-
-
-class Page:
-    """A page in the browser, used as a person uses it."""
-
-    def __init__(
-        self, browser: Any, page: Path, downloads: Path, width: int = 1400, *, again: bool = False
-    ) -> None:
-        """again: with what the browser has kept of earlier pages."""
-        self.browser, self.page, self.downloads = browser, page, downloads
-        where = {"behavior": "allow", "downloadPath": str(downloads)}
-        browser.execute_cdp_cmd("Browser.setDownloadBehavior", where)
-        self.faults = look(browser, page, width, "dark")
-        if not again:
-            browser.execute_script("localStorage.clear()")
-            self.faults = look(browser, page, width, "dark")
-
-    def press(self, *keys: str) -> None:
-        from selenium.webdriver import ActionChains
-
-        ActionChains(self.browser).send_keys(*keys).perform()
-
-    def text(self, part: str) -> str:
-        return str(self.browser.find_element("id", part).get_attribute("textContent"))
-
-    @property
-    def passes(self) -> list[list[Any]]:
-        """ID, first and last frame, state of each."""
-        of = "[p.landmark, p.rows[0].frame, p.rows.at(-1).frame, p.state]"
-        found: list[list[Any]] = self.browser.execute_script(f"return passes.map(p => {of})")
-        return found
-
-    def choose(self, landmark: int, first: int) -> None:
-        """Click the pass in the list."""
-        ids = "passes.find(p => p.landmark === arguments[0] && p.rows[0].frame === arguments[1]).id"
-        made = self.browser.execute_script(f"return {ids}", landmark, first)
-        self.browser.find_element("css selector", f'#list [data-pass="{made}"]').click()
-
-    def go(self, frame: int) -> None:
-        """By the arrows."""
-        from selenium.webdriver.common.keys import Keys
-
-        now = int(self.browser.execute_script("return now"))
-        self.press(*[Keys.ARROW_RIGHT if frame > now else Keys.ARROW_LEFT] * abs(frame - now))
-        assert self.text("title") == f"Frame {frame}"
-
-    def pointer(self, x: float, y: float, *, drag: tuple[float, float] = (0, 0)) -> float:
-        """Press at a pixel of the fan, and drag by so many; returns screen pixels a pixel."""
-        from selenium.webdriver import ActionChains
-
-        svg = self.browser.find_element("id", "marks")
-        box = self.browser.execute_script(
-            "const b = arguments[0].getBoundingClientRect(); return [b.width, b.height]", svg
-        )
-        scale = float(box[0]) / int(self.browser.execute_script("return fan.columns"))
-        at = round((x + 0.5) * scale - box[0] / 2), round((y + 0.5) * scale - box[1] / 2)
-        act = ActionChains(self.browser).move_to_element_with_offset(svg, *at).click_and_hold()
-        if any(drag):
-            act = act.move_by_offset(*(round(v * scale) for v in drag))
-        act.release().perform()
-        return scale
-
-    def save(self) -> Path:
-        """What is downloaded."""
-        file = self.downloads / "gt.csv"
-        file.unlink(missing_ok=True)
-        self.press("s")
-        for _ in range(200):
-            if file.exists() and file.stat().st_size:
-                return file
-            time.sleep(0.02)
-        raise AssertionError(self.text("say"))
 
 
 @pytest.mark.slow
@@ -351,7 +281,11 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     assert page.passes == expected
     browser.refresh()
     assert page.passes == expected
-    rows = read_rows(page.save())
+    everything = read_rows(page.save())
+    rows = [row for row in everything if row["landmark"] != "none"]
+    stone = [row for row in everything if row["landmark"] == "none"]
+    assert [int(row["frame"]) for row in stone] == [*range(60, 80)]
+    assert {(row["x_px"], row["source"]) for row in stone} == {("95.00", "")}
     assert "No pass is open" in page.text("say")
     assert "same spot" not in page.text("left")
     made = {
@@ -370,7 +304,7 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     by_program = share_in_image(fan, *polar_from_pixel(fan, *np.array([*made.values()]).T), 0.15)
     visible = np.array([float(row["visible"]) for row in rows])
     assert np.abs(visible - by_program).max() < 0.03
-    saved = page.downloads / "gt.csv"
+    saved = page.downloads / "dive.gt.csv"
     sonarrec("truth", "check", saved, folder / "dive")
     results = ran / "out" / "dive"
     printed = [
@@ -385,7 +319,7 @@ def test_a_person_corrects_a_proposal(browser: Any, ran: Path, tmp_path: Path) -
     page.press(ENTER)
     page.save()
     for part in ("left", "say"):
-        assert "ID.1 and ID.4 are accepted on the same spot in frame 20" in page.text(part)
+        assert "ID.4 is on the same spot as ID.1 in frame 20" in page.text(part)
     page.press("u")
     assert "same spot" not in page.text("left")
 
@@ -437,7 +371,9 @@ def test_the_page_fits_and_is_legible(browser: Any, ran: Path, tmp_path: Path, w
     assert min(contrast(colour, page) for colour in text) >= 4.5
     acts, keys = browser.execute_script("return [Object.keys(acts), Object.keys(keys)]")
     assert not set(acts) - set(
-        browser.execute_script("return [...Object.values(keys), 'reopen', 'take', 'leave']")
+        browser.execute_script(
+            "return [...Object.values(keys), 'reopen', 'take', 'leave', 'log', 'again']"
+        )
     )
     listed = browser.execute_script(
         "return [...document.querySelectorAll('dl kbd')].map(k => k.textContent)"
@@ -613,6 +549,8 @@ def test_a_truth_goes_out_as_it_came(browser: Any, ran: Path, tmp_path: Path) ->
     page = Page(browser, review(folder, "--truth", truth), tmp_path)
     came, saved = read_rows(truth), read_rows(page.save())
     assert all(row.pop("source") == "" for row in saved)
+    for row in saved:
+        row.pop("track", None)
     order = [tuple(row.items()) for row in came]
     assert sorted(tuple(row.items()) for row in saved) == sorted(order)
     times = {
@@ -627,7 +565,7 @@ def test_a_truth_goes_out_as_it_came(browser: Any, ran: Path, tmp_path: Path) ->
     truth.write_text("\n".join(lines) + "\n")
     page = Page(browser, review(folder, "--truth", truth), tmp_path)
     saved = read_rows(page.save())
-    assert list(saved[0]) == ["frame", "landmark", "x_px", "y_px", "visible", "source"]
+    assert list(saved[0]) == ["frame", "landmark", "x_px", "y_px", "visible", "track", "source"]
     for row in saved:
         place = truth_rows()[int(row["landmark"])][int(row["frame"])]
         assert np.abs(np.subtract((float(row["x_px"]), float(row["y_px"])), place)).max() < 0.02
@@ -640,12 +578,11 @@ def test_by_touch(browser: Any, ran: Path, tmp_path: Path) -> None:
     one = truth_rows()[1]
     folder = with_tracks(ran, tmp_path / "w", [(1, {n: one[n] for n in range(40)}, 0.99)])
     page = Page(browser, review(folder), tmp_path, 420)
-    left, top, width = browser.execute_script(
-        "const b = document.getElementById('marks').getBoundingClientRect();"
-        "return [b.left, b.top, b.width]"
+    left, top = browser.execute_script(
+        "const b = document.getElementById('marks').getBoundingClientRect();return [b.left, b.top]"
     )
-    scale = width / browser.execute_script("return fan.columns")
-    x, y = left + (one[0][0] + 0.5) * scale, top + (one[0][1] + 0.5) * scale
+    across, down, _, _, scale = page.screen()
+    x, y = left + across + one[0][0] * scale, top + down + one[0][1] * scale
 
     def touch(kind: str, *points: tuple[float, float]) -> None:
         of = {

@@ -1,0 +1,307 @@
+"""A person labels a campaign on its pages: what is saved against the simulator's truth."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sonarrec.arrays import FloatArray
+from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel
+from sonarrec.results.read import read_log
+from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.table import read_truth
+from tests.support.browser import look
+from tests.support.command import SAMPLE, sonarrec
+from tests.support.review_page import SHIFT, Labeller, Page
+from tests.support.review_page import Truth as Known
+from tests.support.rows import read_rows
+
+pytestmark = pytest.mark.slow
+WIDE = """
+name = "wide"
+seed = 4
+frames = 40
+[sonar]
+layout = "polar"
+field_of_view_deg = 90.0
+[motion]
+pan_min_deg = -20.0
+pan_max_deg = 20.0
+pan_start_deg = -20.0
+pan_deg_s = 4.0
+[[landmark]]
+id = 2
+ground_m = 1.9
+azimuth_deg = -14.0
+[[landmark]]
+id = 4
+ground_m = 2.3
+azimuth_deg = 15.0
+[[object]]
+kind = "stone"
+ground_m = 2.0
+azimuth_deg = 1.0
+"""
+EMPTY = """
+name = "empty"
+seed = 5
+frames = 24
+[[object]]
+kind = "stone"
+ground_m = 2.0
+azimuth_deg = 1.0
+"""
+
+
+@pytest.fixture(scope="module")
+def camp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders logs and truths (of the simulator), and the results in out."""
+    folder = tmp_path_factory.mktemp("camp")
+    (folder / "truths").mkdir()
+    for name in ("pan", "polar"):
+        shutil.copytree(SAMPLE.with_name(name), folder / "logs" / name)
+    for name, scene in (("wide", WIDE), ("empty", EMPTY)):
+        (folder / f"{name}.toml").write_text(scene)
+        out = folder / "logs" / name
+        sonarrec("simulate", "--scene", folder / f"{name}.toml", "-o", out, "-q")
+    for log in (folder / "logs").iterdir():
+        (log / "gt.csv").rename(folder / "truths" / f"{log.name}.gt.csv")
+    sonarrec("run", folder / "logs", "--recursive", "-o", folder / "out", "-q")
+    return folder
+
+
+def of_log(results: Path, truth: Path) -> tuple[Truth, FloatArray]:
+    """A truth, and its (R, 2) places on the floor."""
+    log = read_log(results)
+    assert log.fan is not None
+    matched = match_truth(read_truth(truth), log)
+    pixels = matched.pixels(log.fan)
+    assert pixels is not None
+    range_m, bearing_deg = polar_from_pixel(log.fan, *pixels.T)
+    return matched, plane_from_polar(ground_range(log.fan, range_m), bearing_deg)
+
+
+def known(results: Path, truth: Path) -> Known:
+    log = read_log(results)
+    assert log.fan is not None
+    matched = match_truth(read_truth(truth), log)
+    pixels = matched.pixels(log.fan)
+    assert pixels is not None
+    found: Known = {}
+    for n, (x, y) in enumerate(pixels.tolist()):
+        landmark, frame = log.landmarks.ids[matched.landmark_index[n]], matched.frame_index[n]
+        found.setdefault(landmark, {})[int(log.frame[frame])] = x, y, float(matched.visible[n])
+    return found
+
+
+def test_a_campaign_is_labelled(browser: Any, camp: Path, tmp_path: Path) -> None:
+    pages, labelled = tmp_path / "pages", tmp_path / "labelled"
+    sonarrec("truth", "review", camp / "logs", "--results", camp / "out", "-o", pages)
+    labelled.mkdir()
+    look(browser, pages / "index.html", 1280, "dark")
+    browser.execute_script("localStorage.clear()")
+    names = ["empty", "pan", "polar", "wide"]
+    page = Page(browser, pages / "empty.html", tmp_path)
+    for name in names:
+        page.page = pages / f"{name}.html"
+        assert browser.find_element("css selector", "h1").text == name
+        truth = camp / "truths" / f"{name}.gt.csv"
+        labeller = Labeller(page, known(camp / "out" / name, truth))
+        labeller.work()
+        assert not [one for one in page.passes if one[3] == "open"]
+        assert "same spot" not in page.text("left")
+        saved = page.save()
+        assert saved.name == f"{name}.gt.csv"
+        states = page.passes
+        browser.refresh()
+        assert page.passes == states
+        shutil.copy(saved, labelled)
+        page.press("l")
+    # The start page, on which the last one ends, knows of all.
+    assert browser.current_url.endswith("index.html")
+    cells = [cell.text for cell in browser.find_elements("css selector", ".open")]
+    assert cells == ["0"] * 4
+    far, frames = 0, 0
+    for name in names[1:]:
+        truth, place = of_log(camp / "out" / name, camp / "truths" / f"{name}.gt.csv")
+        made, made_at = of_log(camp / "out" / name, labelled / f"{name}.gt.csv")
+        assert len(np.unique(np.c_[made.frame_index, made.landmark_index], axis=0)) == made.rows
+        for n in np.flatnonzero(truth.visible >= 0.9):
+            same = (made.frame_index == truth.frame_index[n]) & (
+                made.landmark_index == truth.landmark_index[n]
+            )
+            off = np.linalg.norm(made_at[same] - place[n], axis=1)
+            far += not (off < 0.03).any()
+            frames += 1
+    assert frames > 200
+    assert far < 0.05 * frames
+    # Both commands find what was saved, in one folder; and rates are as those by the real truth.
+    checked = sonarrec("truth", "check", labelled, camp / "logs")
+    assert len([line for line in checked.stdout.splitlines() if "rows, " in line]) == 4
+    rates = []
+    for truths in (labelled, camp / "truths"):
+        sonarrec("evaluate", camp / "out", "--ground-truth", truths, "-q")
+        [row] = (
+            row
+            for row in read_rows(camp / "out" / "evaluation" / "confusion.csv")
+            if (row["protocol"], row["method"], row["landmark"]) == ("strict", "framework", "total")
+        )
+        rates.append(float(row["tpr"]))
+    assert rates[0] == pytest.approx(rates[1], abs=0.005)
+
+
+def test_ends_of_a_pass(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """By keys and by a drag on the bar: cut, and carried on by the motion; undone."""
+    truth = known(camp / "out" / "pan", camp / "truths" / "pan.gt.csv")
+    page_of = tmp_path / "pan.html"
+    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", page_of)
+    page = Page(browser, page_of, tmp_path)
+    landmark, first, last, _ = page.passes[0]
+    whole = page.passes
+    page.choose(landmark, first)
+    page.go(first + 9)
+    page.press("b")
+    assert page.passes[0][:3] == [landmark, first + 9, last]
+    page.go(first + 25)
+    page.press("e")
+    assert page.passes[0][1:3] == [first + 9, first + 25]
+    lane, lanes = browser.execute_script(
+        "const [of, count] = lanesOf(); return [of.get(passes[0].id), count]"
+    )
+    page.strip(first + 26, first + 14, lane=(1.6 + lane + 0.35) / (1.6 + lanes))
+    assert page.passes[0][1:3] == [first + 9, first + 14]
+    Labeller(page, truth).press(SHIFT, "b")
+    Labeller(page, truth).press(SHIFT, "e")
+    begun, _ = page.passes[0][1:3]
+    script = (
+        "return current().rows.filter(r => r.made && r.visible > 0.9).map(r => [r.frame, r.x, r.y])"
+    )
+    made = browser.execute_script(script)
+    seen = truth[landmark]
+    assert len(made) > 15
+    assert begun <= first + 1
+    for frame, x, y in made:
+        assert np.hypot(x - seen[frame][0], y - seen[frame][1]) < 4, frame
+    page.press("u", "u", "u", "u", "u")
+    assert page.passes == whole
+    # Without motion it stays in its pixel, as far as it is told, and the page says so.
+    browser.execute_script("data.poses = {}")
+    Labeller(page, truth).press(SHIFT, "e")
+    assert page.passes == whole
+    page.choose(landmark, first)
+    end = page.passes[0][2]
+    page.strip(end + 3)
+    page.press("e")
+    assert page.passes[0][2] == end + 3
+    assert "not known" in page.text("say")
+
+
+def test_rejections_and_pieces_come_back(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """A page made anew knows what was rejected, and a pass with a gap as one."""
+    log = shutil.copytree(camp / "logs" / "pan", tmp_path / "pan")
+    out, made = camp / "out", tmp_path / "pan.html"
+    where = ("--results", out / "pan", "-o", made)
+    sonarrec("truth", "review", log, *where)
+    page = Page(browser, made, tmp_path)
+    page.press("r", "a")
+    landmark, first, *_ = next(one for one in page.passes if one[3] == "accepted")
+    page.choose(landmark, first)
+    page.go(first + 12)
+    for _ in range(14):
+        page.press("x", "\ue014")
+    before = Counter((one[1], one[2], one[3]) for one in page.passes if one[3] != "open")
+    saved = page.save()
+    rejected = [row for row in read_rows(saved) if row["landmark"] == "none"]
+    assert rejected
+    shutil.copy(saved, tmp_path / "pan.gt.csv")  # beside the log
+    sonarrec("truth", "review", log, *where)
+    again = Page(browser, made, tmp_path)
+    after = Counter((one[1], one[2], one[3]) for one in again.passes if one[3] != "open")
+    assert after == before
+    assert sorted(map(str, again.passes[-1])) != []
+    assert len(again.passes) == len(page.passes)
+
+
+def test_a_whole_pass_is_shifted(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """By as much on the floor in each frame, though the sonar pans."""
+    made = tmp_path / "pan.html"
+    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
+    page = Page(browser, made, tmp_path)
+    places = "return current().rows.map(r => floorFromPixel(fan, r.x, r.y))"
+    rows = browser.execute_script("return current().rows")
+    before = np.array(browser.execute_script(places), dtype=float)
+    now = int(browser.execute_script("return now"))
+    [at] = [row for row in rows if row["frame"] == now]
+    page.press("m")
+    page.pointer(at["x"], at["y"], drag=(9, -6))
+    by = np.array(browser.execute_script(places), dtype=float) - before
+    size = np.linalg.norm(by, axis=1)
+    assert size.min() > 0.05
+    assert np.ptp(size) < 0.01
+    pan = np.array(
+        browser.execute_script(
+            "return current().rows.map(r => data.poses[r.frame]).map(p => Math.atan2(p[1], p[0]))"
+        ),
+        dtype=float,
+    )
+    rotated = np.unwrap(np.arctan2(by[:, 1], by[:, 0])) - pan
+    assert np.ptp(pan) > 0.1
+    assert np.ptp(rotated) < 0.02
+    page.press("u")
+    assert browser.execute_script(places) == before.tolist()
+
+
+def test_the_start_page_reads_saved_tables(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """Where the browser shares no storage between pages: it says so, and takes the tables."""
+    pages = tmp_path / "pages"
+    sonarrec("truth", "review", camp / "logs", "--results", camp / "out", "-o", pages)
+    look(browser, pages / "index.html", 1280, "dark")
+    browser.execute_script("localStorage.clear()")
+    found = look(browser, pages / "index.html", 390, "dark")
+    assert found["console"] == []
+    assert found["wide"] <= 0
+    assert "choose the saved tables" in browser.find_element("id", "where").text
+    saved = tmp_path / "pan.gt.csv"
+    saved.write_text(
+        "frame,landmark,x_px,y_px,visible,track,source\n"
+        "1,1,50,60,1,1,\n2,1,50,60,1,1,\n1,none,9,60,1,2,\n1,3,70,60,1,3,tracked\n"
+    )
+    other = tmp_path / "other.gt.csv"
+    other.write_text("frame,landmark\n")
+    browser.find_element("id", "files").send_keys(f"{saved}\n{other}")
+    row = browser.find_element("css selector", "[data-log='1']")
+    cells = [cell.text for cell in row.find_elements("css selector", "th, td")]
+    assert (cells[0], cells[2:5]) == ("pan", ["3", "2", "1"])
+    assert "4 rows" in cells[-1]
+    assert "other.gt.csv" in browser.find_element("id", "where").text
+
+
+def test_two_tabs(browser: Any, camp: Path, tmp_path: Path) -> None:
+    made = tmp_path / "pan.html"
+    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
+    first = browser.current_window_handle
+    page = Page(browser, made, tmp_path)
+    browser.switch_to.new_window("tab")
+    second = browser.current_window_handle
+    try:
+        browser.get(made.as_uri())
+        told = "return document.getElementById('twin').checkVisibility()"
+        assert browser.execute_script(
+            f"return new Promise(r => setTimeout(() => r({told[7:]}), 300))"
+        )
+        browser.switch_to.window(first)
+        page.press("a")
+        browser.switch_to.window(second)
+        before = page.passes
+        page.press("r")  # not before it is loaded again
+        assert page.passes == before
+        browser.find_element("css selector", "[data-act=again]").click()
+        assert [one[3] for one in page.passes].count("accepted") == 1
+    finally:
+        browser.close()
+        browser.switch_to.window(first)
