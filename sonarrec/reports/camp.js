@@ -35,15 +35,15 @@ function show() {
   logs.forEach((log, n) => {
     const row = document.querySelector(`[data-log="${n}"]`), table = tables.get(log.gt_name);
     const counts = kept(log) ?? table, cell = (name) => row.querySelector(`.${name}`);
-    for (const name of ["passes", "decided", "open", "unseen"]) if (counts?.[name] !== undefined) cell(name).textContent = counts[name];
-    if (!kept(log) && table) cell("unseen").textContent = "?";
+    for (const name of ["passes", "decided", "open", "unseen"]) if (counts) cell(name).textContent = counts[name] ?? "?";
     cell("saved").textContent = table ? `${table.rows} rows read` : counts?.saved ? "saved" : "";
     row.classList.toggle("done", cell("open").textContent === "0");
     done += cell("open").textContent === "0";
     met += Boolean(counts);
   });
   part("left").textContent = `${done} of ${logs.length} logs have no pass left`;
-  part("where").textContent = met ? "" : "Nothing is known here yet of the pages: either none was opened, or this browser shares no storage between pages from a disk. Then choose the saved tables.";
+  const why = "Nothing is known here of the pages: none was opened, or this browser shares no storage between pages";
+  part("where").textContent = met ? "" : `${why} from a disk. Then choose the saved tables.`;
 }
 
 async function read(files) {

@@ -1,6 +1,7 @@
 // Truth by eye. A pass is accepted, rejected, given another ID, split, shifted, its ends are set;
-// outlines are dragged, placed and removed. Each is an entry of `work.done`; `fold` makes the passes from those of the page and these
-// entries, so that undo is to leave the last one out, and only entries are kept in the browser.
+// outlines are dragged, placed and removed. Each is an entry of `work.done`; `fold` makes the passes
+// from those of the page and these entries, so that undo is to leave the last one out, and only
+// entries are kept in the browser.
 const data = JSON.parse(document.getElementById("data").textContent);
 const { fan, ids, images, radius_m } = data, last = data.first + data.frames - 1, key = `sonarrec review ${data.key}`;
 const damaged = new Set(data.damaged), shown = Object.keys(images).map(Number);
@@ -63,28 +64,33 @@ function reaching(rows, first, last, held) {
     }
     return more;
   };
-  return kept.length ? [...beyond(kept[0].frame, -1, first).reverse(), ...kept, ...beyond(kept.at(-1).frame, 1, last)] : rows;
+  if (!kept.length) return rows;
+  return [...beyond(kept[0].frame, -1, first).reverse(), ...kept, ...beyond(kept.at(-1).frame, 1, last)];
 }
 
 /** Rows with a key frame at a pixel. Rows made, not seen, are made anew up to the next that was seen. */
 function withKey(rows, frame, x, y) {
   const others = rows.filter((one) => one.frame !== frame), key = placed(frame, x, y, { key: true });
-  const before = others.findLast((one) => !one.made && one.frame < frame), after = others.find((one) => !one.made && one.frame > frame);
+  const firm = others.filter((one) => !one.made);
+  const before = firm.findLast((one) => one.frame < frame), after = firm.find((one) => one.frame > frame);
   const found = new Map(others.map((one) => [one.frame, one])).set(frame, key);
   const make = (n, pixel) => found.set(n, placed(n, ...pixel, { made: true }));
   for (const [a, b] of [[before, key], [key, after]].filter((pair) => pair[0] && pair[1])) {
     for (let n = a.frame + 1; n < b.frame; n++) if (!damaged.has(n)) make(n, between(a, b, n));
   }
-  for (const { frame: n } of others.filter((one) => (one.frame < frame ? !before : !after))) make(n, carried([key], n) ?? [x, y]);
+  const beyond = others.filter((one) => (one.frame < frame ? !before : !after));
+  for (const { frame: n } of beyond) make(n, carried([key], n) ?? [x, y]);
   return [...found.values()].sort((one, other) => one.frame - other.frame);
 }
 
-/** Rows shifted on the floor by as much as the one in a frame, to a pixel; in the image where the motion is not known. */
+/** Rows shifted on the floor by as much as the one in a frame, to a pixel; where the motion is not
+    known in the image. */
 function shifted(rows, frame, x, y) {
-  const from = rows.find((one) => one.frame === frame) ?? { frame, x, y }, [a, b] = [from, { frame, x, y }].map(placeOf);
+  const from = rows.find((one) => one.frame === frame) ?? { frame, x, y };
+  const [a, b] = [from, { frame, x, y }].map(placeOf);
   return rows.map((one) => {
-    const place = a && b && placeOf(one), by = (axis) => place[axis] + b[axis] - a[axis];
-    return { ...one, ...placed(one.frame, ...(place ? pixelOf([by(0), by(1)], one.frame) : [one.x + x - from.x, one.y + y - from.y])) };
+    const place = a && b && placeOf(one), to = place?.map((v, axis) => v + b[axis] - a[axis]);
+    return { ...one, ...placed(one.frame, ...(to ? pixelOf(to, one.frame) : [one.x + x - from.x, one.y + y - from.y])) };
   });
 }
 
@@ -120,7 +126,7 @@ const entries = {
 };
 
 function fold() {
-  const made = new Map(data.passes.map((pass) => [pass.id, pass])), order = [...made.keys()];
+  const made = new Map(data.passes.map((pass) => [pass.id, { ...pass, recognised: pass.landmark }])), order = [...made.keys()];
   lost = 0;
   for (const entry of work.done) {
     const { pass: id, landmark, drawn } = entry, isNew = drawn && !made.has(id);
@@ -197,7 +203,8 @@ function csv() {
     if (!(isSaved(pass) || isNone) || (isMoved && !visible)) continue;
     // Of two on one spot that say the same the first is saved. Where a landmark is, but not the one that was
     // rejected, the row teaches nothing.
-    const others = near(taken, one, landmark, radius_m).filter((other) => isNone || (other.landmark === landmark && (other.made || one.made)));
+    const isSame = (other) => other.landmark === landmark && (other.made || one.made);
+    const others = near(taken, one, landmark, radius_m).filter((other) => isNone || isSame(other));
     if (others.some((other) => other.landmark === landmark)) continue;
     const free = (name) => ![...used].some(([of, taken]) => of !== id && taken === `${landmark} ${name}`);
     if (!used.has(id)) used.set(id, `${landmark} ${cells?.[track] && free(cells[track]) ? cells[track] : ++number}`);
@@ -229,12 +236,9 @@ function left() {
   const open = inState("open"), out = open.filter((pass) => pass.left_out).length;
   const unseen = data.frames - damaged.size - seen.size;
   const of = `${count(open.length, "pass", "es")} open${out ? ` (${out} not saved while open)` : ""}`;
-  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}${warning()}`;
-}
-
-function warning() {
   const [id] = spots.keys(), pass = passes.find((one) => one.id === id);
-  return pass ? `. ${called(pass.landmark)} is ${spots.get(id)}: reject one` : "";
+  const warning = pass ? `. ${called(pass.landmark)} is ${spots.get(id)}: reject one` : "";
+  return `${open.length ? of : "No pass is open"}; ${unseen ? count(unseen, "frame") + " not seen" : "all frames seen"}${warning}`;
 }
 
 /** The corners of a plate, else the edge of a disc; nearer than the floor that at the nearest floor. */
@@ -253,29 +257,32 @@ function onEdge(x, y, angle) {
   return pixelFromFloor(fan, right, ahead).map((v, axis) => v + (axis ? y - row : x - column));
 }
 
-/** The orientation, rad, of a pass in a frame: as measured there, else in the nearest frame, turned as the sonar was. */
-function turnIn({ orientations: turns = {} }, frame) {
-  const yaw = (n) => Math.atan2(data.poses[n]?.[1] ?? 0, data.poses[n]?.[0] ?? 1), distance = (n) => Math.abs(n - frame);
-  const from = Object.keys(turns).reduce((best, n) => (distance(n) < distance(best ?? FAR) ? n : best), null);
-  return from === null ? null : turns[from] * Math.PI / 180 + yaw(frame) - yaw(from);
+/** The orientation, rad, of a pass in a frame: as in the nearest one where it was measured, and the
+    sonar's yaw since. */
+function orientationIn({ orientations = {} }, frame) {
+  const yaw = (n) => Math.atan2(data.poses[n]?.[1] ?? 0, data.poses[n]?.[0] ?? 1), off = (n) => Math.abs(n - frame);
+  const from = Object.keys(orientations).reduce((best, n) => (off(n) < off(best ?? FAR) ? n : best), null);
+  return from === null ? null : orientations[from] * Math.PI / 180 + yaw(frame) - yaw(from);
 }
 
 /** Draw the chosen pass's ID into the picture, at its orientation; known for the ID that was recognised. */
 function drawSymbol(pass) {
-  const turn = turnIn(pass, now), { x, y } = at(pass, now), isOwn = data.passes.some((one) => one.id === pass.id.split(">")[0] && one.landmark === pass.landmark);
-  if (turn === null || !isOwn || Object.keys(pass.corners ?? {}).length) return;
-  const [a, b, c, d] = [turn, turn - Math.PI / 2].flatMap((angle) => onEdge(x, y, angle).map((v, axis) => (v - [x, y][axis]) / 49));
+  const angle = orientationIn(pass, now), { x, y } = at(pass, now), { landmark, recognised, corners = {} } = pass;
+  if (angle === null || landmark !== recognised || Object.keys(corners).length) return;
+  const axis = (of) => onEdge(x, y, of).map((v, n) => (v - [x, y][n]) / 49);
+  const [a, b, c, d] = [...axis(angle), ...axis(angle - Math.PI / 2)];
   const transform = `matrix(${[a, b, c, d, x - 50 * (a + c), y - 50 * (b + d)].join(" ")})`;
-  drawn(part("marks"), "path", { d: data.glyphs[ids.indexOf(pass.landmark)], transform, class: "symbol", style: tint(pass.landmark) });
+  drawn(part("marks"), "path", { d: data.glyphs[ids.indexOf(landmark)], transform, class: "symbol", style: tint(landmark) });
 }
 
 /** The mean picture of a pass; around it, bright, the directions that were read to be lit. */
 function mean({ picture: href, read = [] } = {}) {
   part("mean").replaceChildren();
   if (href) drawn(part("mean"), "image", { href, x: -50, y: -50, width: 100, height: 100 });
+  const point = (angle) => `${46 * Math.cos(angle)} ${-46 * Math.sin(angle)}`, step = 2 * Math.PI / read.length;
   read.forEach((lit, n) => {
-    const [from, to] = [n, n + 1].map((k) => k * 2 * Math.PI / read.length).map((angle) => `${46 * Math.cos(angle)} ${-46 * Math.sin(angle)}`);
-    drawn(part("mean"), "path", { d: `M${from}A46 46 0 0 0 ${to}`, style: `opacity: ${lit / 9}` });
+    const d = `M${point(n * step)}A46 46 0 0 0 ${point((n + 1) * step)}`;
+    drawn(part("mean"), "path", { d, style: `opacity: ${lit / 9}` });
   });
   part("mean").parentElement.hidden = !href;
 }
@@ -303,9 +310,11 @@ function frame() {
 /** A lane of the strip for each pass, by its ID and so that none lies on another. */
 function lanesOf() {
   const ends = [], lanes = new Map();
-  const first = (pass) => pass.rows[0].frame, order = (pass) => (pass.landmark === null ? FAR : ids.indexOf(pass.landmark));
+  const first = (pass) => pass.rows[0].frame;
+  const order = ({ landmark }) => (landmark === null ? FAR : ids.indexOf(landmark));
   for (const pass of [...passes].sort((a, b) => order(a) - order(b) || first(a) - first(b))) {
-    const free = ends.findIndex((end) => end.landmark === pass.landmark && end.last < first(pass)), lane = free < 0 ? ends.length : free;
+    const free = ends.findIndex((end) => end.landmark === pass.landmark && end.last < first(pass));
+    const lane = free < 0 ? ends.length : free;
     ends[lane] = { landmark: pass.landmark, last: pass.rows.at(-1).frame };
     lanes.set(pass.id, lane);
   }
@@ -325,7 +334,7 @@ function strip() {
   }
   for (const { id, rows, state, landmark } of passes) {
     const look = { class: `pass ${state}${id === chosen ? " chosen" : ""}`, style: tint(landmark), "data-pass": id };
-    const [first, end] = pulled?.id === id ? [pulled.first, pulled.last] : [rows[0].frame, rows.at(-1).frame];
+    const [first, end] = pulled?.id === id ? pulled.ends : endsOf({ rows });
     add(first, end + 1, 1.6 + lanes.get(id), 0.7, look);
   }
   add(now, now + 1, 0, height, { class: "now" });
@@ -345,7 +354,8 @@ function render() {
     const title = make("b", { textContent: called(landmark), style: tint(landmark) });
     const sure = belief ? `least belief ${belief.toFixed(2)}` : "missed by the program";
     const from = drawn || landmark === null ? origin : `${origin}, ${sure}`;
-    const lines = [spanOf(of), from, [why, spots.get(id)].filter(Boolean).join("; ")].map((textContent) => make("small", { textContent }));
+    const doubts = [why, spots.get(id)].filter(Boolean).join("; ");
+    const lines = [spanOf(of), from, doubts].map((textContent) => make("small", { textContent }));
     const inside = [make("span", {}, title, ...lines), make("em", { textContent: state })];
     if (picture) inside.unshift(make("img", { src: picture, alt: "" }));
     const item = make("button", { type: "button", className: `${state}${id === chosen ? " chosen" : ""}` }, ...inside);
@@ -391,7 +401,8 @@ function set(values) {
   if (values.state === "accepted" && (values.landmark ?? pass.landmark) === null) return say("Type its ID.");
   range = "all";
   decide({ kind: "set", pass: pass.id, ...of, ...values });
-  if (!stale) say(`${called(pass.landmark)}, ${spanOf(pass, of)}: ${values.state}${values.landmark ? ` as ID.${values.landmark}` : ""}.`);
+  const as = values.landmark ? ` as ID.${values.landmark}` : "";
+  if (!stale) say(`${called(pass.landmark)}, ${spanOf(pass, of)}: ${values.state}${as}.`);
   const order = passes.findIndex((one) => one.id === pass.id);
   const next = [...passes.slice(order), ...passes.slice(0, order)].find((one) => one.state === "open");
   if (next && values.state !== "open") choose(next.id);
@@ -399,19 +410,23 @@ function set(values) {
 
 /** Let the chosen pass begin or end in this frame, or as far as it is in view. */
 function reach(isFirst, { shiftKey }) {
-  const pass = current(), [first, last] = pass ? [pass.rows[0].frame, pass.rows.at(-1).frame] : [];
-  if (!pass) return say("Choose a pass first.");
-  const to = shiftKey ? (isFirst ? data.first : data.first + data.frames - 1) : now;
-  pull(pass, isFirst ? to : first, isFirst ? last : to, !shiftKey);
+  if (!current()) return say("Choose a pass first.");
+  const ends = endsOf(current());
+  ends[isFirst ? 0 : 1] = shiftKey ? [data.first, last][isFirst ? 0 : 1] : now;
+  pull(current(), ...ends, !shiftKey);
 }
 
+const endsOf = ({ rows }) => [rows[0].frame, rows.at(-1).frame];
+
 function pull(pass, first, last, held) {
-  if (first > pass.rows.at(-1).frame || last < pass.rows[0].frame) return say("That would leave nothing of the pass: reject it, or choose another.");
+  const [before, after] = endsOf(pass);
+  if (first > after || last < before) return say("That would leave nothing of the pass: reject it, or choose another.");
   decide({ kind: "reach", pass: pass.id, first, last, held });
   if (stale) return;
-  const { rows } = current(), ends = [rows[0].frame, rows.at(-1).frame], isKnown = ends.every((n) => stretchOf(n) === stretchOf(pass.rows[0].frame));
-  const further = isKnown && Object.keys(data.poses).length ? "" : " The motion is not known all along: drag the outlines to where it lies.";
-  say(`${called(pass.landmark)}: ${spanOf(current())}${ends[0] > first || ends[1] < last ? ", as far as it is in view" : ""}.${further}`);
+  const ends = endsOf(current()), inView = ends[0] > first || ends[1] < last ? ", as far as it is in view" : "";
+  const isKnown = ends.every((n) => n >= before && n <= after || (stretchOf(n) ?? -1) === stretchOf(before));
+  const doubt = isKnown ? "" : " The motion is not known all along: drag the outlines to where it lies.";
+  say(`${called(pass.landmark)}: ${spanOf(current())}${inView}.${doubt}`);
 }
 
 const toPlace = () => `ID.${placing.landmark}, or type another. Click its centre here, then in another frame.`;
@@ -532,7 +547,8 @@ for (const each of document.querySelectorAll("[data-keys]")) {
 
 document.addEventListener("keydown", (event) => {
   const pressed = [" ", "Enter"].includes(event.key) && event.target.matches("button:focus-visible, summary");
-  if (event.ctrlKey || event.metaKey || event.altKey || pressed || (event.target.matches("input") && event.key.startsWith("Arrow"))) return;
+  const slid = event.target.matches("input") && event.key.startsWith("Arrow");
+  if (event.ctrlKey || event.metaKey || event.altKey || pressed || slid) return;
   const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (act) acts[act](event);
   else if (/^\d$/.test(event.key)) digit(event.key);
@@ -551,32 +567,37 @@ document.addEventListener("click", (event) => {
   if (pass) choose(pass);
 });
 
-/** The frame of a pointer on the strip; what a press takes: an end of a pass there, if it is at one. */
-const frameAt = (event, box = part("strip").getBoundingClientRect()) =>
-  Math.min(last, Math.max(data.first, data.first + Math.floor((event.clientX - box.left) / box.width * data.frames)));
-function takenAt(event) {
-  const boxes = [...part("strip").querySelectorAll(".pass")].map((one) => [one.dataset.pass, one.getBoundingClientRect()]);
-  const off = ([id, box]) => Math.min(...[box.left, box.right].map((end) => Math.abs(end - event.clientX))) - (id === chosen);
-  const [id, box] = boxes.filter(([, one]) => event.clientY >= one.top - 2 && event.clientY <= one.bottom + 2).sort((a, b) => off(a) - off(b))[0] ?? [];
-  if (!id || off([id, box]) > END_PX) return null;
-  const { rows } = passes.find((one) => one.id === id), isFirst = Math.abs(box.left - event.clientX) < Math.abs(box.right - event.clientX);
-  return { id, isFirst, first: rows[0].frame, last: rows.at(-1).frame, moved: false };
+function frameAt({ clientX }) {
+  const { left, width } = part("strip").getBoundingClientRect();
+  return Math.min(last, Math.max(data.first, data.first + Math.floor((clientX - left) / width * data.frames)));
 }
+
+/** The end of a pass that a press on the strip takes, if it is at one; that of the chosen first. */
+function endAt({ clientX, clientY }) {
+  const ends = [...part("strip").querySelectorAll(".pass")].flatMap((bar) => {
+    const box = bar.getBoundingClientRect(), id = bar.dataset.pass, isIn = Math.abs(clientY - (box.top + box.bottom) / 2) <= box.height / 2 + 2;
+    return isIn ? [box.left, box.right].map((x, n) => ({ id, side: n, off: Math.abs(x - clientX) - (id === chosen) })) : [];
+  });
+  const [end] = ends.filter(({ off }) => off <= END_PX).sort((a, b) => a.off - b.off);
+  return end && { ...end, ends: endsOf(passes.find((one) => one.id === end.id)) };
+}
+
 for (const kind of ["pointerdown", "pointermove", "pointerup"]) part("strip").addEventListener(kind, (event) => {
   const n = frameAt(event);
   if (kind === "pointerdown") {
     part("strip").setPointerCapture(event.pointerId);
-    const end = takenAt(event);
+    const end = endAt(event);
     if (end) choose(end.id);
-    pulled = end;
+    pulled = end ?? null;
   } else if (pulled && event.buttons) {
-    Object.assign(pulled, pulled.isFirst ? { first: Math.min(n, pulled.last) } : { last: Math.max(n, pulled.first) }, { moved: true });
+    pulled.ends[pulled.side] = pulled.side ? Math.max(n, pulled.ends[0]) : Math.min(n, pulled.ends[1]);
+    pulled.moved = true;
   } else if (pulled) {
-    const { first, last: end, moved: isMoved } = pulled, pass = current();
+    const { ends, moved: isMoved } = pulled;
     pulled = null;
-    if (isMoved && pass) pull(pass, first, end, true);
+    if (isMoved && current()) pull(current(), ...ends, true);
   }
-  part("strip").style.cursor = takenAt(event) ? "ew-resize" : "";
+  part("strip").style.cursor = endAt(event) ? "ew-resize" : "";
   if (event.buttons) go(n);
 });
 
@@ -590,7 +611,7 @@ tabs.onmessage = ({ data: what }) => {
   if (what === "opened") return tabs.postMessage("here");
   stale ||= what === "decided";
   part("twin").hidden = false;
-  part("twin").firstElementChild.textContent = stale ? RELOAD : "This log is open in another tab, too. Decide in one of them: the other has to be reloaded then.";
+  part("twin").firstElementChild.textContent = stale ? RELOAD : "This log is open in another tab, too: decide in one of them.";
 };
 tabs.postMessage("opened");
 

@@ -361,10 +361,19 @@ def test_the_geometry_of_the_script_is_the_program_s(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [1400, 420])
+@pytest.mark.parametrize("width", [390, 1024, 1280, 1366])
 def test_the_page_fits_and_is_legible(browser: Any, ran: Path, tmp_path: Path, width: int) -> None:
     folder = with_tracks(ran, tmp_path / "w", swapped())
-    faults = Page(browser, review(folder), tmp_path, width).faults
+    opened = Page(browser, review(folder), tmp_path, width)
+    faults = opened.faults
+    opened.press("a")
+    top, bottom, height, frame = browser.execute_script(
+        "const [say, frame] = ['say', 'marks'].map(id => document.getElementById(id));"
+        "const box = say.getBoundingClientRect(), of = frame.getBoundingClientRect();"
+        "return [box.top, box.bottom, innerHeight, of.width * of.height / innerWidth / innerHeight]"
+    )
+    assert 0 < top < bottom <= height  # a message is in view, and the frame has most of the window
+    assert frame > 0.4
     assert faults["console"] == []
     assert (faults["broken"], faults["wide"], faults["outside"]) == (0, 0, [])
     page, text, _ = browser.execute_script(COLOURS)
@@ -439,6 +448,30 @@ def test_no_passes_and_damaged_frames(browser: Any, ran: Path, tmp_path: Path) -
         for r in rows
     ]
     assert max(off) < 2.5  # of a disc of some 30 px that turned by 7 degrees
+
+
+@pytest.mark.slow
+def test_two_ids_on_one_spot(browser: Any, ran: Path, tmp_path: Path) -> None:
+    """Told; a line for each; the rejected one shows nothing, and is not proposed again."""
+    one, three = (truth_rows()[k] for k in (1, 3))
+    spot = {n: one[n] for n in range(17, 40)}
+    other = {n: three[n] for n in range(17, 40)}
+    folder = with_tracks(ran, tmp_path / "w", [(1, spot, 0.99), (2, spot, 0.95), (1, other, 0.97)])
+    page = Page(browser, review(folder), tmp_path)
+    assert sorted(p[0] for p in page.passes) == [1, 1, 2]
+    lanes = browser.execute_script("return passes.map(p => lanesOf()[0].get(p.id))")
+    assert len(set(lanes)) == 3
+    assert "same spot" in page.text("left")
+    page.choose(2, 17)
+    page.press("r", "a", "a")
+    assert "same spot" not in page.text("left")
+    saved = page.save()
+    rows = [(row["landmark"], float(row["visible"]) > 0) for row in read_rows(saved)]
+    assert set(rows) == {("1", True), ("none", False)}
+    again = data_of(review(folder, "--truth", saved))["passes"]
+    assert sorted((p["landmark"] or 0, p["state"]) for p in again) == [
+        *((0, "rejected"), (1, "accepted"), (1, "accepted"))
+    ]
 
 
 @pytest.mark.slow
