@@ -81,7 +81,7 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
         else:
             found += logs_named(name, recursive=recursive)
             if unread := unread_below(name, recursive=recursive):
-                inform(f"{name}: not read: {unread} (sonarrec help formats has what is)")
+                inform(f"{name}: not read: {unread}")
     return found
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sonarrec.errors import UsageError
+from sonarrec.errors import UsageError, number_of
 from sonarrec.readers.containers.bag_folder import is_bag_folder
 from sonarrec.readers.containers.images import is_array, is_image
 from sonarrec.readers.open import is_log_file, matches, not_read
@@ -44,18 +44,28 @@ def logs_named(name: str, *, recursive: bool = False) -> list[NamedLog]:
 
 def logs_of(name: str) -> list[NamedLog]:
     """The logs of an argument that may be a campaign: as `logs_named`, and of a folder that is no
-    log and holds none also those below it, such as folders of images."""
+    log also those below it, such as folders of images."""
     path = Path(name)
     is_folder = path.is_dir() and not _is_bag(path)
-    return logs_named(name, recursive=is_folder and not _in_folder(path))
+    return logs_named(name, recursive=is_folder and _in_folder(path) != [path])
 
 
 def unread_below(name: str, *, recursive: bool = False) -> str:
-    """How many files of a folder of logs, by ending, may be recordings, and are not read."""
+    """What a folder of logs holds that may be recordings, and is not read: files by ending, and
+    folders of images."""
     top = Path(name)
     if not top.is_dir() or _is_bag(top):
         return ""
-    return not_read(top.rglob("*") if recursive else top.iterdir())
+    entries = [*(top.rglob("*") if recursive else top.iterdir())]
+    unread = []
+    if files := not_read(entries):
+        unread.append(f"{files} (sonarrec help formats has what is)")
+    folders = (
+        0 if recursive else sum(e.is_dir() and not _is_bag(e) and _is_images(e) for e in entries)
+    )
+    if folders and not _is_images(top):
+        unread.append(f"{number_of(folders, 'folder')} of images (--recursive reads them)")
+    return ", ".join(unread)
 
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:

@@ -18,6 +18,7 @@ from PIL import Image
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
+from sonarrec.readers.named_logs import logs_of
 from tests.support.bags import messages, ros1_bag, split_bag
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import (
@@ -45,6 +46,16 @@ def test_a_folder_of_recordings_of_which_some_are_not_read(tmp_path: Path) -> No
     (tmp_path / "other").mkdir()
     (tmp_path / "d.imb").rename(tmp_path / "other" / "d.imb")
     assert "1 .imb" in sonarrec("run", tmp_path / "other", code=2).stderr
+
+
+def test_folders_of_images_beside_recordings(tmp_path: Path) -> None:
+    """`run` reads the recordings and tells of the folders; a queue of reviews has them all."""
+    video_file(tmp_path / "a.mkv", frames(4), "HFYU")
+    for name in ("b", "c"):
+        image_folder(tmp_path / name, frames(4))
+    assert "2 folders of images (--recursive" in sonarrec("info", tmp_path).stderr
+    assert "of images" not in sonarrec("info", tmp_path, "--recursive").stderr
+    assert [Path(log.path).name for log in logs_of(str(tmp_path))] == ["a.mkv", "b", "c"]
 
 
 @pytest.mark.parametrize(
