@@ -169,7 +169,7 @@ function decide(entry) {
 const storage = (use) => { try { return use(localStorage); } catch { part("refused").hidden = false; } };
 function keep() {
   const open = inState("open").length, unseen = data.frames - damaged.size - seen.size;
-  const counts = { passes: passes.length, open, decided: passes.length - open, unseen, saved };
+  const counts = { passes: passes.length, open, decided: passes.length - open, unseen, saved: saved && open < passes.length };
   if (!stale) storage((kept) => kept.setItem(key, JSON.stringify({ ...work, seen: [...seen], counts })));
 }
 
