@@ -175,7 +175,7 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     tests = differences(summary, main)
     if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
         test = f"paired sign-flip test over {units_text(summary.units)}"
-        lines += [*[""] * details, f"protocol {main}, differences; {test}"]
+        lines += [*([""] if details else []), f"protocol {main}, differences; {test}"]
         for pair, cells in tests:
             by_label = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}
             if details:
