@@ -81,7 +81,7 @@ def stacked(tables: Sequence[Table]) -> Table:
     if len(tables) == 1:
         return tables[0]
     names = tables[0].columns
-    return Table(**{name: np.concatenate([of[name] for of in tables]) for name in names})
+    return Table(**{name: np.concatenate([table[name] for table in tables]) for name in names})
 
 
 def begins(*keys: npt.NDArray[Any]) -> BoolArray:

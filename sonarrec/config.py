@@ -340,14 +340,14 @@ def configs(presets: Sequence[str] = (), path: Path | None = None) -> list[Confi
 def _config_tables(path: Path) -> list[dict[str, Any]]:
     with as_usage():
         table = read_toml(path)
-        found = table.get("config", table)  # a run.toml keeps the settings under [config]
-        if not isinstance(found, list):
-            found = [found]
-        if not found or not all(isinstance(t, dict) for t in found):
+        tables = table.get("config", table)  # a run.toml keeps the settings under [config]
+        if not isinstance(tables, list):
+            tables = [tables]
+        if not tables or not all(isinstance(t, dict) for t in tables):
             raise SonarrecError(f"{path}: config must be a table of settings")
-        for table in found:
+        for table in tables:
             checked(table.get("preset", ""), str, f"{path}: preset")
-    return found
+    return tables
 
 
 def with_assignments(config: Config, assignments: Sequence[str]) -> Config:

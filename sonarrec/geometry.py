@@ -371,8 +371,8 @@ class PoseTable:
         share = ((times_ns - self.time_ns[after - 1]) / step)[:, None]
         known = (share >= 0) & (share <= 1)
         known &= (step <= self.gap_ns)[:, None] | (share == 0) | (share == 1)
-        found = self.pose[after - 1] * (1 - share) + self.pose[after] * share
-        return np.where(known, found, np.nan)
+        pose = self.pose[after - 1] * (1 - share) + self.pose[after] * share
+        return np.where(known, pose, np.nan)
 
     def motion(self, before_ns: int, now_ns: int) -> Motion | None:
         """How the sonar moved between two times; None if either pose is not known."""

@@ -35,10 +35,10 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1055,
+    "advice": 1056,
     "cli": 2990,
     "drawing": 681,
-    "evaluation": 3419,
+    "evaluation": 3420,
     "geometry": 418,
     "learning": 532,
     "mapping": 1400,

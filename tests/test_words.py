@@ -56,6 +56,10 @@ KEYS = {
     "model": {"at"},
 }
 """By module, fields that may have such names, since they are keys of files that users have."""
+VAGUE_NAMES = {"of", "one", "found", "mine", "theirs", "there", "here"}
+"""Names that say of no value what it is: a log, a row, a folder, a match."""
+MOST_VAGUE_NAMES = 5
+"""How many may be left: four methods `of`, and the module of runs of one log."""
 VAGUE = re.compile(r"\b(told|beside|apart|away|alike|turned|places|anew)\b", re.IGNORECASE)
 MOST_VAGUE = 8
 """The number of VAGUE words that comments, docstrings and messages may have in all."""
@@ -154,6 +158,16 @@ def test_names_use_words_of_the_field() -> None:
             where = f"{path.relative_to(ROOT)}:{line}: {name}"
             found += [f"{where}: use {better.get(part, 'index, position')}" for part in bad]
     assert not found, "\n".join(found)
+
+
+def test_vague_names_are_rare() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in sorted((ROOT / "sonarrec").rglob("*.py"))
+        for name, line in names_in(path)
+        if name in VAGUE_NAMES
+    ]
+    assert len(found) <= MOST_VAGUE_NAMES, "\n".join(found)
 
 
 def test_vague_words_are_rare() -> None:

@@ -74,7 +74,8 @@ def of_run(ended: EndedRun) -> Iterator[Advice]:
         return
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
-    topic = f"topic ({command_line('info', log.path)} has all), " * ("topic" in log.reading())
+    all_topics = f"topic ({command_line('info', log.path)} has all), "
+    topic = all_topics if "topic" in log.reading() else ""
     scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
     yield Advice(
         f"no landmark declared; check {topic}range order "

@@ -153,13 +153,13 @@ class _Sightings:
         `most` frames earlier ... as they are ... `most` frames later."""
         near = np.zeros((len(rows.frame), 2 * most + 1), np.float32)
         for landmark in np.unique(rows.landmark):
-            of = np.flatnonzero(rows.landmark == landmark)
+            same = np.flatnonzero(rows.landmark == landmark)
             claims = np.flatnonzero(self.claims.landmark == landmark)
             claims = claims[np.argsort(self.claims.frame[claims], kind="stable")]
             frame = self.claims.frame[claims]
-            low = np.searchsorted(frame, rows.frame[of] - most)
-            count = np.searchsorted(frame, rows.frame[of] + most, "right") - low
-            row = np.repeat(of, count)
+            low = np.searchsorted(frame, rows.frame[same] - most)
+            count = np.searchsorted(frame, rows.frame[same] + most, "right") - low
+            row = np.repeat(same, count)
             within = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
             claim = claims[np.repeat(low, count) + within]
             # A shift is one within a stretch: pauses are of another length in frames.
@@ -304,8 +304,8 @@ def _other_scale(both: _Sightings) -> str:
         scales.append(abs(scale))
         moved[:, k] = scale * moved[:, k] + offset
         if scale != 1 or abs(offset) > least:
-            times = f" times {scale:.3g}" * (scale != 1)
-            moved_by = f" {offset:+.2g} {unit}" * (abs(offset) > least)
+            times = f" times {scale:.3g}" if scale != 1 else ""
+            moved_by = f" {offset:+.2g} {unit}" if abs(offset) > least else ""
             words.append(f"{name} were that stated{times}{moved_by}")
     meant = both.meeting(both.rows._replace(position=plane_from_polar(*moved.T)))
     fits = words and min(scales) > LEAST_SCALE and _explains(meant, int(both.rows.sure.sum()))
@@ -335,16 +335,16 @@ def _part(both: _Sightings, log: LogResults) -> str:
     same = rest.rows.landmark[row] == rest.claims.landmark[claim]
     rivals = replace(rest, rows=rest.rows.of(np.unique(row[same])))  # without misses
     for words, way in _other_positions(log).items():
-        found = rivals.meeting(rivals.rows._replace(position=way(rivals.rows.position)))
-        if _explains(found, len(rivals.rows.frame)) and found.rows_met > PART * rows:
-            return f"{found.rows_met} of {rows} rows would meet claims only {words}"
+        meeting = rivals.meeting(rivals.rows._replace(position=way(rivals.rows.position)))
+        if _explains(meeting, len(rivals.rows.frame)) and meeting.rows_met > PART * rows:
+            return f"{meeting.rows_met} of {rows} rows would meet claims only {words}"
     return ""
 
 
-def _explains(found: _Meeting, rows: int) -> bool:
+def _explains(meeting: _Meeting, rows: int) -> bool:
     """Whether nearly all rows and claims meet. rows: how many there are, also beyond the log."""
-    enough = min(found.rows, found.claims) >= FEWEST and 2 * found.rows >= rows
-    return enough and min(found.shares) >= NEARLY_ALL
+    enough = min(meeting.rows, meeting.claims) >= FEWEST and 2 * meeting.rows >= rows
+    return enough and min(meeting.shares) >= NEARLY_ALL
 
 
 def _other_positions(log: LogResults) -> dict[str, Way]:
@@ -397,13 +397,13 @@ def _without_rows(matched: Matched, claims: Table) -> Iterator[str]:
     first, last = matched.truths["at"].min(), matched.truths["at"].max()
     claimed = np.unique(claims["at"])
     frames = len(matched.frame)
-    for length, found, word in (
+    for length, seen, word in (
         (first, claimed < first, f"begin at frame {matched.frame[first]}"),
         (frames - 1 - last, claimed > last, f"end at frame {matched.frame[last]}"),
     ):
-        if length > LEAST_STRETCH * frames and found.sum() > length / 2:
+        if length > LEAST_STRETCH * frames and seen.sum() > length / 2:
             yield (
-                f"{word}, and {found.sum()} of the {length} frames without one have claims, "
+                f"{word}, and {seen.sum()} of the {length} frames without one have claims, "
                 "which count as false; label each frame, or add --labelled-only"
             )
 
@@ -412,7 +412,7 @@ def _between_rows(matched: Matched, claims: Table) -> IntArray:
     """The frames, by index, that seem to lack a row: of an ID with rows before and behind, and most
     frames between claimed. Empty if these are few."""
     ids = len(matched.ids)
-    rows, claimed = (np.unique(of["cell"]) for of in (matched.truths, claims))
+    rows, claimed = (np.unique(table["cell"]) for table in (matched.truths, claims))
     # Where a row lacks a claim, a claim of another ID lies on its landmark.
     confused = np.unique(np.setdiff1d(rows, claimed) // ids)
     claimed = claimed[~np.isin(claimed // ids, confused)]
@@ -425,8 +425,8 @@ def _between_rows(matched: Matched, claims: Table) -> IntArray:
     inner = (behind > 0) & (behind < len(rows))
     behind, claimed = behind[inner], claimed[inner]
     same = rows[behind] // len(matched.frame) == rows[behind - 1] // len(matched.frame)
-    found = np.bincount(behind[same], minlength=len(rows))
-    lacks = 2 * found[1:] > np.diff(rows) - 1
+    between = np.bincount(behind[same], minlength=len(rows))
+    lacks = 2 * between[1:] > np.diff(rows) - 1
     unseen = claimed[same & np.append(False, lacks)[behind]]
     enough = len(unseen) > UNSEEN * (len(rows) + len(unseen))
     return np.unique(unseen % len(matched.frame)) if enough else unseen[:0]

@@ -61,10 +61,10 @@ def check_truth(
         faults.append(Fault(1, "columns", unread.removeprefix(f"{path}: ")))
     known = ", ".join(map(str, landmarks.ids))
     for strange in np.setdiff1d(landmark, landmarks.ids):
-        found = np.flatnonzero(landmark == strange)
+        wrong = np.flatnonzero(landmark == strange)
         text = f"ID.{strange} is not in the set {landmarks.name!r} ({known})"
-        text += f", in {number_of(len(found), 'row')}; --landmarks names another set"
-        faults.append(Fault(line[found[0]], "landmark", text))
+        text += f", in {number_of(len(wrong), 'row')}; --landmarks names another set"
+        faults.append(Fault(line[wrong[0]], "landmark", text))
     for n in np.flatnonzero((visible < 0) | (visible > 1)):
         text = f"visible is a share, 0 to 1, not {visible[n]:g}"
         faults.append(Fault(line[n], "visible", text))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.errors import Advice
+from sonarrec.errors import Advice, listed
 from sonarrec.geometry import pixel_from_polar
 from sonarrec.records import Fan
 from sonarrec.truth.check import outside_of_log
@@ -44,15 +44,15 @@ def unread_columns(table: TruthTable) -> str:
 
     Without positions these are all that have no meaning.
     """
-    found = [(name, near) for name, near in table.unread if near or table.position is None]
-    if not found:
+    unread = [(name, near) for name, near in table.unread if near or table.position is None]
+    if not unread:
         return ""
-    names = ", ".join(name for name, _ in found)
-    near = ", ".join(dict.fromkeys(near for _, near in found if near))
-    asked = f"; rename to {near}" * bool(near)
+    names = ", ".join(name for name, _ in unread)
+    near = ", ".join(dict.fromkeys(near for _, near in unread if near))
+    asked = f"; rename to {near}" if near else ""
     if not near and table.position is None:
         asked = "; positions are read from x_px and y_px, or range_m and bearing_deg"
-    return f"{table.path}: {'columns' if found[1:] else 'column'} {names} not read{asked}"
+    return f"{table.path}: {'columns' if unread[1:] else 'column'} {names} not read{asked}"
 
 
 def unchecked(table: TruthTable, name: str) -> str:
@@ -73,12 +73,12 @@ def outside(table: TruthTable, log: ReadLog, truth: Truth, check: str = "") -> I
     """
     wrong = outside_of_log(log, truth)
     if wrong.any():
-        found = log.frame[np.unique(truth.frame_index[wrong])].tolist()
-        listed = ", ".join(map(str, found[:MOST_FRAMES])) + " ..." * (len(found) > MOST_FRAMES)
-        how = f"; {check} has their lines" * bool(check)
+        frames = log.frame[np.unique(truth.frame_index[wrong])].tolist()
+        where = f"{'frames' if frames[1:] else 'frame'} {listed(frames, MOST_FRAMES)}"
+        how = f"; {check} has their lines" if check else ""
         yield Advice(
             f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions lie outside the image of "
-            f"{log.name}, in frame{'s' * bool(found[1:])} {listed}{how}",
+            f"{log.name}, in {where}{how}",
             grave=bool(wrong.mean() > MOST_OUTSIDE),
         )
 

@@ -90,12 +90,12 @@ def evaluate(
         method, min_visible, tolerance_s, landmarks, sonar, within_m, labelled_only
     )
     logs = results if pairs is None else read_pairs(Path(pairs))
-    found = evaluate_logs(logs, ground_truth, scoring, of_results)
-    for line in found.unused:
+    evaluation = evaluate_logs(logs, ground_truth, scoring, of_results)
+    for line in evaluation.unused:
         warnings.warn(line, stacklevel=2)
     if out is not None:
-        write_evaluation(Path(refuse_url(out)), found)
-    return found
+        write_evaluation(Path(refuse_url(out)), evaluation)
+    return evaluation
 
 
 def compare(

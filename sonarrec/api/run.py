@@ -111,7 +111,7 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     learned = None if model is None else Path(model)
     run_options = RunOptions(configs_of(preset), landmarks, learned)
     several = [log] if isinstance(log, str | Path) else log
-    logs = [NamedLog(str(one)) for one in several]
+    logs = [NamedLog(str(path)) for path in several]
     to_run = jobs_of(logs, str(refuse_url(out)), log_options, run_options, overwrite, of_run)
     if isinstance(log, str | Path):
         with at_hand(to_run[0]) as job:
@@ -119,7 +119,7 @@ def run(  # type: ignore[misc]  # the overloads leave out what both have
     if observe is not None:
         raise UsageError("observe is for a single log")
     done = run_jobs(to_run, out, at_once=jobs)
-    errors = [one.error for one in done.outcomes if one.error is not None]
+    errors = [outcome.error for outcome in done.outcomes if outcome.error is not None]
     if errors and len(errors) == len(done.outcomes):
         raise errors[0]
     return done

@@ -77,52 +77,52 @@ def check(
     from sonarrec.evaluation.check_file import LogToRun, is_recorded, names_its_log, read_check
     from sonarrec.tables.outputs import below
 
-    one = read_check(file)
+    spec = read_check(file)
     if update and settings != options.SettingsChoice(None, None, ()):
         raise UsageError(
             f"--update records what {file} says; write the settings there: preset, config, set"
         )
-    logs, new, nameless = one.logs(), list[LogToRun](), list[LogToRun]()
+    logs, new, nameless = spec.logs(), list[LogToRun](), list[LogToRun]()
     if not update:
-        new = [log for log in logs if not is_recorded(one.record, log.name)]
+        new = [log for log in logs if not is_recorded(spec.record, log.name)]
         nameless = [
-            log for log in logs if log not in new and not names_its_log(one.record, log.name)
+            log for log in logs if log not in new and not names_its_log(spec.record, log.name)
         ]
         logs = [log for log in logs if log not in (*new, *nameless)]
         again = f"{command_line('check', file, '--update')} records them; then commit them"
         print_notes(
-            f"{one.record / log.name}: run.toml does not say of which log these results are; not "
-            f"compared; {again}"
+            f"{spec.record / log.name}: run.toml does not say of which log these results are; "
+            f"not compared; {again}"
             for log in nameless
         )
         if nameless and not logs:
             leave(WORSE)
         if not logs:
-            raise UsageError(f"{one.record}: no results on record yet; {again}")
+            raise UsageError(f"{spec.record}: no results on record yet; {again}")
         print_notes(
-            f"{log.name}: no results on record in {one.record}, not compared; {again}"
+            f"{log.name}: no results on record in {spec.record}, not compared; {again}"
             for log in new
         )
     with ExitStack() as stack:
         folder = out or Path(stack.enter_context(TemporaryDirectory(prefix="sonarrec-check-")))
-        new_path, old_path = folder.resolve(), one.record.resolve()
+        new_path, old_path = folder.resolve(), spec.record.resolve()
         if new_path.is_relative_to(old_path) or old_path.is_relative_to(new_path):
-            raise UsageError(f"{folder}: {one.record} has the results on record; write elsewhere")
-        logs, partial = _run(_jobs(one, logs, settings, folder), logs, jobs, quiet, update)
+            raise UsageError(f"{folder}: {spec.record} has the results on record; write elsewhere")
+        logs, partial = _run(_jobs(spec, logs, settings, folder), logs, jobs, quiet, update)
         worse = list[str]()
         try:
-            of_set = _compare(one, logs, one.record, folder)
+            of_set = _compare(spec, logs, spec.record, folder)
         except SonarrecError as error:
             if not update:
                 again = f"{command_line('check', file, '--update')} records new results"
                 raise SonarrecError(f"nothing can be compared ({error}); {again}") from None
-            new_alone = _compare(one, logs, folder, folder)  # raises if no truth can be used
+            new_alone = _compare(spec, logs, folder, folder)  # raises if no truth can be used
             unused = [line for compared in new_alone.values() for line in compared.unused]
             print_notes(unused)
             partial = partial or bool(unused)
         else:
             for name, compared in of_set.items():
-                judged, target = _judge(one, compared, limits), out and below(out, "evaluation")
+                judged, target = _judge(spec, compared, limits), out and below(out, "evaluation")
                 if len(of_set) > 1:
                     target = target and target / name
                     if not quiet:
@@ -131,25 +131,25 @@ def check(
                 partial = partial or bool(compared.unused or (new and not update))
                 worse += [] if update else judged.faults
         if update:
-            _update(one, logs, folder, quiet)
+            _update(spec, logs, folder, quiet)
     if code := WORSE if worse or nameless else PARTLY if partial else 0:
         leave(code)
 
 
 def _jobs(
-    one: Check, logs: Sequence[LogToRun], settings: options.SettingsChoice, out: Path
+    spec: Check, logs: Sequence[LogToRun], settings: options.SettingsChoice, out: Path
 ) -> list[Job]:
     """A job for each log. Settings of the command line change those of the file."""
     from sonarrec.runs.job import Job, RunOptions
 
-    file = one.file
+    file = spec.file
     chosen = options.SettingsChoice(
         settings.preset or file.preset,
-        settings.config_file or one.path_to(file.config),
+        settings.config_file or spec.path_to(file.config),
         (*file.set, *settings.assignments),
     )
-    configs, model = chosen.configs(), one.path_to(file.model)
-    run_options = RunOptions(configs, one.landmarks, model, chosen.config_file)
+    configs, model = chosen.configs(), spec.path_to(file.model)
+    run_options = RunOptions(configs, spec.landmarks, model, chosen.config_file)
     run_options.check()
     # Run in any case: it is the program that may have changed, not the settings.
     return [
@@ -166,9 +166,9 @@ def _run(
     """
     from sonarrec.cli.run import exit_code, run_and_print
 
-    found = run_and_print(to_run, to_run[0].out, quiet=quiet, briefly=True, at_once=at_once)
-    done = [log for log, one in zip(logs, found.outcomes, strict=True) if one.error is None]
-    code = exit_code(found.outcomes)
+    runs = run_and_print(to_run, to_run[0].out, quiet=quiet, briefly=True, at_once=at_once)
+    done = [log for log, outcome in zip(logs, runs.outcomes, strict=True) if outcome.error is None]
+    code = exit_code(runs.outcomes)
     if not done:
         leave(code)
     if all_needed and len(done) < len(logs):
@@ -176,7 +176,7 @@ def _run(
     return done, code != 0
 
 
-def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
+def _update(spec: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> None:
     """Record the results, and say so."""
     from sonarrec.advice.truth import unchecked
     from sonarrec.evaluation.check_file import save
@@ -186,18 +186,18 @@ def _update(one: Check, logs: Sequence[LogToRun], folder: Path, quiet: bool) -> 
         table = read_truth(log.ground_truth)
         if proposed := unchecked(table, log.name):
             raise SonarrecError(f"nothing is recorded: {proposed}")
-    notes = save(folder, one.record, logs)
+    notes = save(folder, spec.record, logs)
     print_notes([], notes)
     if not quiet:
-        size = sum(f.stat().st_size for f in one.record.rglob("*") if f.is_file())
+        size = sum(f.stat().st_size for f in spec.record.rglob("*") if f.is_file())
         say(
-            f"{one.record}: the results of {number_of(len(logs), 'log')} are on record, "
+            f"{spec.record}: the results of {number_of(len(logs), 'log')} are on record, "
             f"{size / 1e6:.1f} MB; commit them"
         )
 
 
 def _compare(
-    one: Check, logs: Sequence[LogToRun], old: Path, folder: Path
+    spec: Check, logs: Sequence[LogToRun], old: Path, folder: Path
 ) -> dict[str, Comparison]:
     """Compare the new results with old ones, those of each landmark set by themselves."""
     from sonarrec.advice.results import of_results
@@ -206,15 +206,15 @@ def _compare(
     from sonarrec.evaluation.rows import ScoringOptions
 
     pairs = [Pair(folder / log.name, log.ground_truth) for log in logs]
-    scoring = ScoringOptions(min_visible=one.file.min_visible, landmarks=one.landmarks)
+    scoring = ScoringOptions(min_visible=spec.file.min_visible, landmarks=spec.landmarks)
     return compare_sets(old, folder, pairs, scoring, of_results)
 
 
-def _judge(one: Check, compared: Comparison, limits: Limits) -> Judgement:
+def _judge(spec: Check, compared: Comparison, limits: Limits) -> Judgement:
     """Judge by the limits of the command line, which replace those of the file."""
     from sonarrec.evaluation.compare import EACH, Limits, judge
 
-    file = one.file
+    file = spec.file
     least, most = (
         given if EACH in given else {**stated, **given}
         for stated, given in ((file.least_tpr, limits.least_tpr), (file.most_fpr, limits.most_fpr))

@@ -99,12 +99,12 @@ def evaluate(
         from sonarrec.evaluation import compare as comparing
 
         old, new = compare
-        found = comparing.compare(old, new, truth, scoring, of_results)
-        notes, unused, folder = found.notes, found.unused, out or below(new, "evaluation")
-        files = comparing.write_comparison(folder, found)
-        judged = comparing.judge(found, limits)
+        compared = comparing.compare(old, new, truth, scoring, of_results)
+        notes, unused, folder = compared.notes, compared.unused, out or below(new, "evaluation")
+        files = comparing.write_comparison(folder, compared)
+        judged = comparing.judge(compared, limits)
         worse = judged.faults if limits.are_given else ()
-        shown = f"{new} against {old}: {comparing.screen(found, judged)}"
+        shown = f"{new} against {old}: {comparing.screen(compared, judged)}"
         document = ""
     else:
         from sonarrec.evaluation.evaluate import evaluate_logs

@@ -95,7 +95,7 @@ def info(
     from sonarrec.tables.outputs import check_output
 
     logs = options.named_logs(log, from_file, recursive)
-    names = [refuse_url(one.path) for one in logs]
+    names = [refuse_url(item.path) for item in logs]
     for option, file in (("--preview", preview), ("--write-sonar", write_sonar)):
         if file is not None and len(logs) > 1:
             raise UsageError(f"{option} {file}: for one log, but {len(logs)} are given")
@@ -105,13 +105,13 @@ def info(
         if preview.suffix.lower() != ".png":
             raise UsageError(f"--preview {preview}: the name must end in .png")
         check_output(preview, "picture", names)
-    found: LogInfo | None = None
+    about: LogInfo | None = None
     documents, codes = list[dict[str, Any]](), list[int]()
-    for one, name in zip(logs, names, strict=True):
+    for item, name in zip(logs, names, strict=True):
         try:
             with progress(quiet) as step:
-                found = describe(
-                    one.path, **reading, up_to=one.up_to, quick=quick, observe=step, advise=of_log
+                about = describe(
+                    item.path, **reading, up_to=item.up_to, quick=quick, observe=step, advise=of_log
                 )
         except SonarrecError as error:
             print_notes([str(error)])
@@ -121,18 +121,18 @@ def info(
         if not as_json:
             if documents:
                 say("")
-            say(*lines(found, reading["sonar"].as_options()))
-        documents.append(asdict(found))
-        codes.append(FAILED if found.has_no_frame else PARTLY * found.has_problems)
+            say(*lines(about, reading["sonar"].as_options()))
+        documents.append(asdict(about))
+        codes.append(FAILED if about.has_no_frame else PARTLY * about.has_problems)
     if as_json:
         head = {"program": PROGRAM, "version": PROGRAM["version"]}
         click.echo(json.dumps({**head, "logs": documents}, indent=2))
-    if write_sonar is not None and found is not None:
-        missing = write_sonar_toml(write_sonar, found)
+    if write_sonar is not None and about is not None:
+        missing = write_sonar_toml(write_sonar, about)
         lacks = f"now fill in {', '.join(missing)}" if missing else "nothing is missing"
         if not quiet:
             inform(f"{write_sonar}: written; {lacks}")
-    if preview is not None and found is not None:
+    if preview is not None and about is not None:
         _draw(preview, logs[0], reading, landmarks)
         if not quiet:
             inform(f"{preview}: the first usable frame with the geometry drawn onto it")
@@ -291,7 +291,7 @@ def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator
         value = f" = {known[key]}" if origin in ("found", "assumed") else value
         by_origin.setdefault(names.get(origin, f"from {origin}"), []).append(key + value)
     for key, value in images.assumed.items():
-        text = ", ".join(f"{one:.4g}" for one in (value if isinstance(value, list) else [value]))
+        text = ", ".join(f"{x:.4g}" for x in (value if isinstance(value, list) else [value]))
         text = f"[{text}]" if isinstance(value, list) else text
         by_origin.setdefault(names["default"], []).append(f"{key} = {text}")
     yield from (f"{origin}: {', '.join(keys)}" for origin, keys in by_origin.items())

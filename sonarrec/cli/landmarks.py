@@ -71,8 +71,8 @@ def landmarks(
         else:
             check_output(out, "picture", [landmark_set])
     beam_m = distance_m * math.radians(beam_width_deg)
-    found = distances(chosen, beam_m)
-    advice = of_landmarks(chosen, beam_m, found)
+    pairs = distances(chosen, beam_m)
+    advice = of_landmarks(chosen, beam_m, pairs)
     if out is not None and isinstance(chosen, DrawnSet) and out.suffix.lower() == ".svg":
         write_text(out, sheet(chosen))
     elif out is not None:
@@ -88,9 +88,9 @@ def landmarks(
             return f"{share * cells:.0f} of {cells}" if cells else f"{share:.2f}"
 
         say(f"{chosen.name}: {size}", f"  at {distance_m:g} m, with {beams}")
-        if found:
+        if pairs:
             say("  IDs          as drawn   as seen")
-        for d in found:
+        for d in pairs:
             ids = f"{d.ids[0]} and {d.ids[1]}"
             say(f"  {ids:<12} {shown(d.drawn):>8}  {d.seen:>8.2f}")
         if out is not None:

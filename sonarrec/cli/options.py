@@ -72,17 +72,17 @@ def named_logs(logs: tuple[str, ...], from_file: IO[str] | None, recursive: bool
             f"--from-file {from_file.name}: not a list of logs, which is UTF-8 text with one LOG "
             "per line; to run a single log leave out --from-file"
         )
-    found: list[NamedLog] = []
+    named: list[NamedLog] = []
     for name in log_arguments(logs, listed):
         if is_url(name):
             from sonarrec.runs.remote import logs_at  # with fsspec, only where needed
 
-            found += map(NamedLog, logs_at(name, recursive=recursive))
+            named += map(NamedLog, logs_at(name, recursive=recursive))
         else:
-            found += logs_named(name, recursive=recursive)
+            named += logs_named(name, recursive=recursive)
             if unread := unread_below(name, recursive=recursive):
                 inform(f"{name}: not read: {unread}")
-    return found
+    return named
 
 
 def _span(_: click.Context, __: click.Parameter, text: str | None) -> Any:
@@ -216,13 +216,13 @@ sonar = as_one("sonar", {"sonar_file": _SONAR_FILE}, _stated_in)
 def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
     """The numbers of A,B,... Raises UsageError if they are not, or not so many."""
     try:
-        found = [FiniteRange().convert(number, None, None) for number in text.split(",")]
+        values = [FiniteRange().convert(number, None, None) for number in text.split(",")]
     except click.BadParameter:
-        found = []
-    if not found or count not in (None, len(found)):
+        values = []
+    if not values or count not in (None, len(values)):
         several = "numbers" if count is None else f"{count} numbers"
         raise UsageError(f"{flag} {text}: expected {several} separated by commas")
-    return found
+    return values
 
 
 # Landmarks, results and truth

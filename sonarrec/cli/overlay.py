@@ -91,19 +91,19 @@ def overlay(
             f"{log}: results of {number_of(len(folders), 'log')}, which do not go into one file; "
             "give those of one, or a folder as -o"
         )
-    targets: list[Target] = [(one, ground_truth, ()) for one in folders or [Path(log)]]
+    targets: list[Target] = [(target, ground_truth, ()) for target in folders or [Path(log)]]
     if mistakes is not None:
         folder = Path(log) if folders else overlays.find_both(Path(log), results)[1]
-        found = _worst(
+        mistaken = _worst(
             folder, ground_truth, method, landmarks, reading, mistakes, diagnostics, lines
         )
-        targets = [(one if folders else Path(log), of, wrong) for one, of, wrong in found]
+        targets = [(f if folders else Path(log), t, wrong) for f, t, wrong in mistaken]
     with progress(quiet) as step:
-        for one, truth, wrong in targets:
-            picture = out / one.name if several else out
+        for target, truth, wrong in targets:
+            picture = out / target.name if several else out
             try:
                 report = overlays.overlay(
-                    one,
+                    target,
                     picture,
                     results=results,
                     method=method,
@@ -144,7 +144,7 @@ def _worst(
     from sonarrec.sonar import load_sonar
 
     file = reading["sonar_file"]
-    found = evaluate_logs(
+    evaluation = evaluate_logs(
         results,
         truth,
         ScoringOptions(
@@ -154,13 +154,13 @@ def _worst(
         ),
         of_results,
     )
-    diagnostics.problem(*found.unused)
-    first = found.counts.methods[0]
-    of_first = [m for m in found.counts.mistakes if m.method == first]
+    diagnostics.problem(*evaluation.unused)
+    first = evaluation.counts.methods[0]
+    of_first = [m for m in evaluation.counts.mistakes if m.method == first]
     wrong = [m for m in of_first if not m.at_start][:most]
     if not wrong:
         but = " but in the first frame, in which no track is declared" if of_first else ""
         lines.append(f"{first}: no mistake{but}, so nothing is drawn; --method chooses another")
-    logs = zip(found.folders, found.truths, found.counts.logs, strict=True)
+    logs = zip(evaluation.folders, evaluation.truths, evaluation.counts.logs, strict=True)
     targets = [(f, t, [m for m in wrong if m.log == log]) for f, t, log in logs]
     return [target for target in targets if target[-1]]

@@ -320,7 +320,7 @@ def _table(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
             yield f"{name}  {'-':>7}  {'-':>5}  failed"
             continue
         notes = "-" if outcome.up_to_date else str(len(outcome.notes))
-        seen = [f"ID.{one}: {count}" for one, count in sorted(outcome.landmarks.items())]
+        seen = [f"ID.{landmark}: {count}" for landmark, count in sorted(outcome.landmarks.items())]
         lost = f"; {outcome.unusable} unusable" if outcome.unusable else ""
         yield f"{name}  {outcome.frames:>7}  {notes:>5}  {', '.join(seen) or 'none'}{lost}"
     if len(jobs) > MOST_ROWS:
@@ -331,8 +331,8 @@ def exit_code(outcomes: Sequence[Outcome]) -> int:
     """The exit code of a call by what became of its logs."""
     return code_of_all(
         [
-            code_of(one.error) if one.error is not None else PARTLY * (one.status != "done")
-            for one in outcomes
+            code_of(o.error) if o.error is not None else PARTLY * (o.status != "done")
+            for o in outcomes
         ]
     )
 

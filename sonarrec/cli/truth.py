@@ -175,10 +175,10 @@ def check(
 
     is_faulty, unread = False, list[SonarrecError]()
     pairs = _truths(ground_truth, log)
-    for path, of in pairs:
+    for path, source in pairs:
         try:
-            landmark_set, _ = chosen_landmarks(find_log(of), landmarks, read_run(None))
-            with open_log(of, **reading) as opened:
+            landmark_set, _ = chosen_landmarks(find_log(source), landmarks, read_run(None))
+            with open_log(source, **reading) as opened:
                 rows, faults, diagnostics = check_truth(
                     path, opened, landmark_set, max_pan_deg=max_pan_deg
                 )
@@ -197,9 +197,9 @@ def check(
             if count > MOST_FAULTS:
                 lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
         print_notes(diagnostics.problems)
-        found = number_of(len(faults), "fault") if faults else "no fault"
+        total = number_of(len(faults), "fault") if faults else "no fault"
         if not quiet:
-            lines.append(f"{path}: {number_of(rows, 'row')}, {found}")
+            lines.append(f"{path}: {number_of(rows, 'row')}, {total}")
         say(*lines)
         print_notes((), diagnostics.notes)
         is_faulty |= bool(faults or diagnostics.problems)
@@ -218,13 +218,13 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
         raise UsageError(f"{given}: name the log that it is the truth of, too")
     if log is not None and given.is_file():
         return [(given, log)]
-    found = []
-    for one in logs_of(log or str(given)):
-        source = find_log(one.path)
+    pairs = []
+    for named in logs_of(log or str(given)):
+        source = find_log(named.path)
         own = own_file(source.location, TRUTH_FILE).name
         truth = source.companion(TRUTH_FILE) if log is None else given / own
-        found.append((truth or source.location.parent / own, one.path))
-    return found
+        pairs.append((truth or source.location.parent / own, named.path))
+    return pairs
 
 
 @truth.command(short_help="Propose a gt.csv from confident tracks.", cls=GroupedCommand)
@@ -335,7 +335,7 @@ def review(
     from sonarrec.reports.camp import review_camp
     from sonarrec.reports.review import review as write_review
 
-    logs = results_in(Path(log)) or [Path(one.path) for one in logs_of(log)]
+    logs = results_in(Path(log)) or [Path(named.path) for named in logs_of(log)]
     options: dict[str, Any] = {
         "truth": ground_truth,
         "results": results,

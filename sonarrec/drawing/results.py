@@ -208,10 +208,10 @@ def _steps(
     start = np.where(joined, frame[before], frame - 0.5)
     for declared in (False, True):
         for k, landmark in enumerate(landmarks.ids):
-            of = (named == landmark) == declared
+            wanted = (named == landmark) == declared
             begin = np.column_stack([start, beliefs[before, k]])
             end = np.column_stack([frame, beliefs[:, k]])
-            yield begin[of], end[of], landmark, declared
+            yield begin[wanted], end[wanted], landmark, declared
 
 
 def _clock(timestamp_ns: int, *, short: bool = False) -> str:

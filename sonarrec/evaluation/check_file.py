@@ -95,24 +95,25 @@ class Check(NamedTuple):
     def logs(self) -> list[LogToRun]:
         """Every log of the file. Raises UsageError for one without truth or of a wrong name."""
         logs: list[LogToRun] = []
-        for n, of in enumerate(self.file.log, 1):
+        for n, entry in enumerate(self.file.log, 1):
             where, home = f"{self.path}: [[log]] {n}", self.path.parent
-            named = logs_named(str(home / of.path))
-            if len(named) > 1 and (of.name or of.ground_truth):
+            named = logs_named(str(home / entry.path))
+            if len(named) > 1 and (entry.name or entry.ground_truth):
                 raise UsageError(
-                    f"{where}: {of.path} names {len(named)} logs, which cannot share a name or a "
-                    "truth; give each its own [[log]]"
+                    f"{where}: {entry.path} names {len(named)} logs, which cannot share a name or "
+                    "a truth; give each its own [[log]]"
                 )
-            for one in named:
+            for source in named:
                 options = LogOptions(
-                    sonar_file=self.path_to(of.sonar), topic=of.topic, up_to=one.up_to
+                    sonar_file=self.path_to(entry.sonar), topic=entry.topic, up_to=source.up_to
                 )
-                below = Path(one.path).is_relative_to(home)
-                stated = Path(one.path).relative_to(home).as_posix() if below else one.path
-                truth = self.path_to(of.ground_truth) or _truth_of_log(where, one.path, options)
+                below = Path(source.path).is_relative_to(home)
+                stated = Path(source.path).relative_to(home).as_posix() if below else source.path
+                given = self.path_to(entry.ground_truth)
+                truth = given or _truth_of_log(where, source.path, options)
                 if not truth.is_file():
                     raise UsageError(f"{where}: {truth}: no such file")
-                logs.append(LogToRun(of.name or "", one.path, stated, truth, options))
+                logs.append(LogToRun(entry.name or "", source.path, stated, truth, options))
         names = iter(result_names([log.path for log in logs if not log.name]))
         logs = [log._replace(name=log.name or next(names)) for log in logs]
         for log in logs:

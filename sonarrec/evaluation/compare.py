@@ -72,11 +72,11 @@ class Limits:
 
     def methods_to_judge(self, methods: Iterable[str]) -> tuple[str, ...]:
         """The methods to judge, of those in the results. Raises UsageError for one not there."""
-        there = tuple(dict.fromkeys(methods))
-        if unknown := sorted({*self.methods, *self.least_tpr, *self.most_fpr} - {EACH, *there}):
-            has = ", ".join(there)
+        known = tuple(dict.fromkeys(methods))
+        if unknown := sorted({*self.methods, *self.least_tpr, *self.most_fpr} - {EACH, *known}):
+            has = ", ".join(known)
             raise UsageError(f"method {unknown[0]}: the results have no such method, but {has}")
-        return self.methods or tuple(filter(follows, there)) or there
+        return self.methods or tuple(filter(follows, known)) or known
 
     def broken(self, counts: Counts, methods: Sequence[str] = ()) -> list[str]:
         """A line for each absolute limit that the results do not keep.
@@ -178,11 +178,11 @@ def compare_sets(
         logs_of.setdefault(ids, []).append(log)
         used = landmarks.name in name_of.values()
         name_of.setdefault(ids, f"{landmarks.name}-{len(logs_of)}" if used else landmarks.name)
-    found = {}
+    compared = {}
     for ids, logs in logs_of.items():
-        found[name_of[ids]] = _compared((old, new), logs, options, diagnostics, advise)
+        compared[name_of[ids]] = _compared((old, new), logs, options, diagnostics, advise)
         diagnostics = Diagnostics()  # what is about all logs is in those of the first
-    return found
+    return compared
 
 
 def _compared(
@@ -251,10 +251,11 @@ def _logs(
         of_name.setdefault(pair.results.absolute().name, pair)
     logs = []
     for both in folders:
-        found = [of_name[f.absolute().name] for f in reversed(both) if f.absolute().name in of_name]
-        if found:
-            name = found[0].log or log_of(both[1])
-            logs.append(LogToScore(both, found[0].ground_truth, name))
+        names = [f.absolute().name for f in reversed(both)]
+        matches = [of_name[name] for name in names if name in of_name]
+        if matches:
+            name = matches[0].log or log_of(both[1])
+            logs.append(LogToScore(both, matches[0].ground_truth, name))
         elif pairs is ground_truth:
             diagnostics.problem(f"{both[1]}: the pairs name no truth for it; not compared")
     if not logs:
@@ -282,11 +283,11 @@ def _rates(before: Counts, after: Counts, compared: Sequence[tuple[str, str]]) -
         count = after.count(row["method"], row["protocol"], row["landmark"], row["log"])
         # An area is over as many cases as the TPR.
         row["of"] = count.fp + count.tn if row["figure"] == "fpr" else count.tp + count.fn
-    found = pd.DataFrame(rows).rename(
+    table = pd.DataFrame(rows).rename(
         columns={"figure": "rate", "value_a": "old", "value_b": "new"}
     )
-    up = found.new.fillna(0) - found.old.fillna(0)  # 0/0 counts as 0
-    return found.assign(worse_by=up.where(found.rate == "fpr", -up))[COMPARE]
+    up = table.new.fillna(0) - table.old.fillna(0)  # 0/0 counts as 0
+    return table.assign(worse_by=up.where(table.rate == "fpr", -up))[COMPARE]
 
 
 class Row(NamedTuple):
@@ -338,55 +339,56 @@ class Judgement:
     """A line for each rate that is worse, and for each limit that is not kept."""
 
 
-def judge(found: Comparison, limits: Limits) -> Judgement:
+def judge(compared: Comparison, limits: Limits) -> Judgement:
     """Judge new results by the old ones and by the limits.
 
     Worse, with a band, is a rate over all IDs in one log, or of one ID or of all IDs in all logs.
     Raises UsageError if a method that the limits name is in neither.
     """
-    named = (*(method for _, method in found.methods), *found.gained, *found.lost)
+    named = (*(method for _, method in compared.methods), *compared.gained, *compared.lost)
     methods, band = limits.methods_to_judge(named), limits.band
-    least = SAME if band is None else np.maximum(band, FRAMES_FREE / found.rates.of.clip(1)) + 1e-9
-    sign = np.sign(found.rates.worse_by) * (found.rates.worse_by.abs() >= least)
-    judged = found.rates.assign(sign=sign)[found.rates.method.isin(methods)]
-    faults = [f"worse: {m}: no longer in the results" for m in found.lost if m in methods]
-    if found.before.placed and not found.after.placed:
+    rates = compared.rates
+    least = SAME if band is None else np.maximum(band, FRAMES_FREE / rates.of.clip(1)) + 1e-9
+    sign = np.sign(rates.worse_by) * (rates.worse_by.abs() >= least)
+    judged = rates.assign(sign=sign)[rates.method.isin(methods)]
+    faults = [f"worse: {m}: no longer in the results" for m in compared.lost if m in methods]
+    if compared.before.placed and not compared.after.placed:
         faults.append("worse: protocol strict: no longer scored")
     for r in judged[judged.sign > 0].itertuples() if band is not None else ():
         log = f"{r.log}: " if r.log else ""
-        of = "" if r.log else f", {'ID.' * r.landmark.isdigit()}{r.landmark}"
+        label = "" if r.log else f", {'ID.' if r.landmark.isdigit() else ''}{r.landmark}"
         rate = f"{METRICS[r.rate].label} was {rate_text(r.old)}, is {rate_text(r.new)}"
-        faults.append(f"worse: {log}{r.method}, {r.protocol}{of}: {rate}")
-    broken = limits.broken(found.after, methods)
-    rows = _rows(found, judged, either=band is not None)
-    sentence = _sentence(found, rows, faults, broken, band)
+        faults.append(f"worse: {log}{r.method}, {r.protocol}{label}: {rate}")
+    broken = limits.broken(compared.after, methods)
+    rows = _rows(compared, judged, either=band is not None)
+    sentence = _sentence(compared, rows, faults, broken, band)
     return Judgement(sentence, rows, (*faults, *broken))
 
 
-def _rows(found: Comparison, judged: pd.DataFrame, *, either: bool) -> tuple[Row, ...]:
+def _rows(compared: Comparison, judged: pd.DataFrame, *, either: bool) -> tuple[Row, ...]:
     """A row per log, protocol and method, the stricter protocol first. either: see Row.mark."""
-    several, rows = len(found.logs) > 1, []
+    several, rows = len(compared.logs) > 1, []
     total = judged[(judged.landmark == TOTAL) & judged.rate.isin(RATES)]
-    rank = {log: n for n, log in enumerate([*found.logs, ""])}
+    rank = {log: n for n, log in enumerate([*compared.logs, ""])}
     total = total.sort_values("protocol", ascending=False, kind="stable")
-    total = total.sort_values("log", key=lambda of: of.map(rank), kind="stable")
+    total = total.sort_values("log", key=lambda names: names.map(rank), kind="stable")
     for (log, protocol, method), two in total.groupby(["log", "protocol", "method"], sort=False):
         tpr, fpr = two.itertuples(index=False)
-        row = Row(log or (TOTAL if several else found.logs[0]), method, protocol, tpr, fpr, "")
+        row = Row(log or (TOTAL if several else compared.logs[0]), method, protocol, tpr, fpr, "")
         signs = {rate.sign for rate in ((tpr, fpr) if either else (row.larger,))}
         rows.append(row._replace(mark="worse" if 1 in signs else "better" if -1 in signs else ""))
     return tuple(rows)
 
 
 def _sentence(
-    found: Comparison,
+    compared: Comparison,
     rows: Sequence[Row],
     faults: Sequence[str],
     broken: Sequence[str],
     band: float | None,
 ) -> str:
     """What is worse, else better, else as it was; then how far, and whether it may be chance."""
-    logs = found.logs
+    logs = compared.logs
     over = f"in {logs[0]}" if len(logs) == 1 else f"over {number_of(len(logs), 'log')}"
     totals = [row for row in rows if row.log == TOTAL or len(logs) == 1]
     # Without a band the leading method, in all logs, under the stricter protocol decides.
@@ -410,7 +412,7 @@ def _sentence(
     test = head.larger
     if head in totals and abs(test.worse_by) >= SAME:
         chance = "" if test.p <= SIGNIFICANT else ": other recordings may not show it"
-        tested = f"p = {test.p:.2g} over {units_text(found.after.units)}{chance}"
+        tested = f"p = {test.p:.2g} over {units_text(compared.after.units)}{chance}"
         parts.append(test.note if math.isnan(test.p) else tested)
     return "; ".join([*parts, *broken])
 
@@ -418,7 +420,7 @@ def _sentence(
 HEADING = ("log", "method", "protocol", "TPR before", "now", "FPR before", "now", "")
 
 
-def screen(found: Comparison, judged: Judgement) -> str:
+def screen(compared: Comparison, judged: Judgement) -> str:
     """The sentence, the table, then the passes that changed most."""
     rows = judged.rows
     if len(rows) > MOST_ROWS:
@@ -429,22 +431,22 @@ def screen(found: Comparison, judged: Judgement) -> str:
         texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
         cells.append((row.log, row.method, row.protocol, *texts, row.mark))
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [judged.sentence, *labelled_frames(found.after.frames, found.left_out)]
+    lines = [judged.sentence, *labelled_frames(compared.after.frames, compared.left_out)]
     for cell in cells if rows else ():
         texts = (f"{c:{'<<<>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
         lines.append("  ".join(texts).rstrip())
     if more := len(judged.rows) - len(rows):
         lines.append(number_of(more, "more row"))
-    return "\n".join(map(printable, [*lines, *_changed_passes(found)]))
+    return "\n".join(map(printable, [*lines, *_changed_passes(compared)]))
 
 
-def _changed_passes(found: Comparison) -> list[str]:
+def _changed_passes(compared: Comparison) -> list[str]:
     """The passes in which the leading method, under the stricter protocol, changed most."""
-    method = found.methods[0][1]
-    protocol = max(protocol for protocol, of in found.methods if of == method)
+    method = compared.methods[0][1]
+    protocol = max(protocol for protocol, other in compared.methods if other == method)
     old, new = (
         passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
-        for passes in (found.before.passes, found.after.passes)
+        for passes in (compared.before.passes, compared.after.passes)
     )
     change = np.abs(new["right"] - old["right"])
     order = np.argsort(-change, kind="stable")[:MOST_PASSES]
@@ -459,10 +461,10 @@ def _changed_passes(found: Comparison) -> list[str]:
     ]
 
 
-def write_comparison(folder: Path, found: Comparison) -> tuple[str, ...]:
+def write_comparison(folder: Path, compared: Comparison) -> tuple[str, ...]:
     """Write compare.csv; returns its name. Raises as `write_evaluation`."""
     check_folder(folder, ["evaluation.json", "compare.csv"])
     check_tables(folder, {"compare.csv": COMPARE})
     with writing(folder):
-        write_table(folder / "compare.csv", found.figures)
+        write_table(folder / "compare.csv", compared.figures)
     return ("compare.csv",)

@@ -81,13 +81,13 @@ def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
             of_protocol["wrong"] = find_wrong(
                 log, judged, protocol, beneath if protocol == "strict" else None
             )
-        for name, of in of_protocol.items():
-            parts[name].append(of.with_columns(protocol=np.int8(p)))
+        for name, pieces in of_protocol.items():
+            parts[name].append(pieces.with_columns(protocol=np.int8(p)))
         if protocol == "strict" and beneath is not None:
             for kind, errors in _errors(log, right).items():
                 parts[kind].append(errors.added_up([*_UNIT, "value"]))
             parts["calibration"].append(_calibration(log, beneath))
-    tables = {name: stacked(of) for name, of in parts.items()}
+    tables = {name: stacked(pieces) for name, pieces in parts.items()}
     if "wrong" in tables:  # frame by frame; only the mistakes over neighbouring frames are returned
         tables["mistakes"] = over_frames(log, tables.pop("wrong"))
     return tables
@@ -119,9 +119,9 @@ def _right(log: Matched, right: Table) -> Table:
 
     right: the right claims. Several of one truth count once. A truth without a pass is left out.
     """
-    found = right.select(["method", "truth"]).added_up(["method", "truth"])
-    found = Table(method=found["method"], passage=log.truths["passage"][found["truth"]], right=1)
-    return found[found["passage"] >= 0].added_up(["method", "passage"])
+    pairs = right.select(["method", "truth"]).added_up(["method", "truth"])
+    pairs = Table(method=pairs["method"], passage=log.truths["passage"][pairs["truth"]], right=1)
+    return pairs[pairs["passage"] >= 0].added_up(["method", "passage"])
 
 
 def _errors(log: Matched, right: Table) -> dict[str, Table]:
@@ -135,8 +135,8 @@ def _errors(log: Matched, right: Table) -> dict[str, Table]:
         "orientation": np.abs((rotation + period / 2) % period - period / 2),
     }
     return {
-        kind: right.select(_UNIT).with_columns(value=of, n=1)[~np.isnan(of)]
-        for kind, of in errors.items()
+        kind: right.select(_UNIT).with_columns(value=error, n=1)[~np.isnan(error)]
+        for kind, error in errors.items()
     }
 
 
@@ -156,7 +156,7 @@ def _calibration(log: Matched, beneath: IntArray) -> Table:
     used[on_one] &= truths["strict"]
     p = log.probability[used]
     most = p.max(axis=1)
-    found = Table(
+    estimates = Table(
         method=log.claims["method"][used],
         unit=unit[used],
         bin=np.minimum((most * BINS).astype(int), BINS - 1),
@@ -164,7 +164,7 @@ def _calibration(log: Matched, beneath: IntArray) -> Table:
         stated=most.astype(float),
         right=1 * (p.argmax(axis=1) == true[used]),
     )
-    return found.added_up(["method", "unit", "bin"])
+    return estimates.added_up(["method", "unit", "bin"])
 
 
 class Units(NamedTuple):
@@ -240,12 +240,12 @@ class Tally:
         """Add the counts of a log."""
         self._methods += [name for name in log.methods if name not in self._methods]
         index = np.array([*map(self._methods.index, log.methods), -1], dtype=np.int16)
-        for name, of in count_log(log, rates_only=self._rates_only).items():
-            columns = of.columns | {"log": np.full(len(of), len(self._logs), dtype=np.int32)}
+        for name, table in count_log(log, rates_only=self._rates_only).items():
+            columns = table.columns | {"log": np.full(len(table), len(self._logs), dtype=np.int32)}
             if "method" in columns:
-                columns["method"] = index[of["method"]]
+                columns["method"] = index[table["method"]]
             for column in self._first.keys() & columns.keys():
-                columns[column] = of[column] + self._first[column]
+                columns[column] = table[column] + self._first[column]
             if name in LONG:
                 del columns["log"]
                 small = [c for c, values in columns.items() if values.dtype == np.int64]
@@ -281,8 +281,8 @@ class Tally:
             log.name if many[log.name] == 1 else str(folder)
             for log, folder in zip(self._logs, folders, strict=True)
         ]
-        there = {method for log in self._logs for method in log.methods}
-        scored = chosen(there, methods, ", ".join(names))
+        known = {method for log in self._logs for method in log.methods}
+        scored = chosen(known, methods, ", ".join(names))
         if not scored:
             raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
         # The parts go as they are joined: there are millions of rows in many logs.
@@ -299,7 +299,7 @@ class Counts:
     counted: tuple[CountedLog, ...]
     methods: tuple[str, ...]
     """Those that are scored."""
-    found: tuple[str, ...]
+    indexed: tuple[str, ...]
     """All methods of the logs, which the tables have by their index."""
     tables: dict[str, Table]
     """Those of `count_log`, with units and passes numbered over all logs; the short ones also with
@@ -370,24 +370,24 @@ class Counts:
 
     def rows(self, name: str, method: str = "", protocol: str = "") -> Table:
         """A table of all logs, or its rows of a method and a protocol, with units as of `units`."""
-        of = self.tables[name]
+        rows = self.tables[name]
         if method:
-            of = of[of["method"] == self.found.index(method)]
+            rows = rows[rows["method"] == self.indexed.index(method)]
         if protocol:
-            of = of[of["protocol"] == PROTOCOLS.index(protocol)]
-        return of.with_columns(unit=self._unit[of["unit"]]) if "unit" in of.columns else of
+            rows = rows[rows["protocol"] == PROTOCOLS.index(protocol)]
+        return rows.with_columns(unit=self._unit[rows["unit"]]) if "unit" in rows.columns else rows
 
     @cached_property
     def confusion(self) -> dict[tuple[str, str, str, str], Count]:
         """Counts and rates by method, protocol, log ("": all) and landmark, with the total."""
-        found, names = {}, [*COUNTS, "positives"]
+        counted, names = {}, [*COUNTS, "positives"]
         shape = (1 + len(self.logs), len(self.landmarks), len(names))
         for method in self.methods:
             for protocol in self.protocols:
                 sums = np.zeros(shape, dtype=int)
                 base = self.rows("base", protocol=protocol)
-                of = base.with_columns(positives=base["fn"])
-                for rows in (of, self.rows("declared", method, protocol)):
+                unclaimed = base.with_columns(positives=base["fn"])
+                for rows in (unclaimed, self.rows("declared", method, protocol)):
                     k = np.array([self.ids.index(i) for i in rows["landmark"].tolist()], dtype=int)
                     for n, name in enumerate(names):
                         if name in rows.columns:
@@ -396,8 +396,8 @@ class Counts:
                 sums[:, -1] = sums.sum(axis=1)
                 for log, of_log in zip(("", *self.logs), sums.tolist(), strict=True):
                     for landmark, counts in zip(self.landmarks, of_log, strict=True):
-                        found[method, protocol, log, landmark] = Count(*counts)
-        return found
+                        counted[method, protocol, log, landmark] = Count(*counts)
+        return counted
 
     def count(self, method: str, protocol: str, landmark: str = TOTAL, log: str = "") -> Count:
         """One of `confusion`."""
@@ -421,15 +421,15 @@ class Counts:
         if landmark == TOTAL:
             steps = steps.select(["score", *COUNTS]).added_up(["score"])
         base = of_landmark(self.rows("base", protocol=protocol), landmark)
-        of = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
-        found = Table(
-            **of,
+        totals = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
+        points = Table(
+            **totals,
             threshold=np.append(steps["score"] / MILLION, np.inf)[::-1],
-            tpr=ratio(of["tp"], of["tp"] + of["fn"]),
-            fpr=ratio(of["fp"], of["fp"] + of["tn"]),
+            tpr=ratio(totals["tp"], totals["tp"] + totals["fn"]),
+            fpr=ratio(totals["fp"], totals["fp"] + totals["tn"]),
         )
-        self._corners[method, protocol, landmark] = corners(found)
-        return found
+        self._corners[method, protocol, landmark] = corners(points)
+        return points
 
     def corners(self, method: str, protocol: str, landmark: str = TOTAL) -> Table:
         """The corners of the ROC, see `corners`; kept, since they are few and often drawn."""
@@ -443,14 +443,14 @@ class Counts:
 
         The most frames and the highest scores come first.
         """
-        protocol, found = self.protocols[-1], []
+        protocol, mistakes = self.protocols[-1], []
         of_all = self.rows("mistakes", protocol=protocol)
         for method in self.methods:
             lack = [n for n, log in enumerate(self.counted) if method not in log.methods]
             nobodys = (of_all["method"] < 0) & np.isin(of_all["log"], lack)
-            of = of_all[nobodys | (of_all["method"] == self.found.index(method))]
-            for row in zip(*(column.tolist() for column in of.columns.values()), strict=True):
-                m = dict(zip(of.columns, row, strict=True))
+            table = of_all[nobodys | (of_all["method"] == self.indexed.index(method))]
+            for row in zip(*(column.tolist() for column in table.columns.values()), strict=True):
+                m = dict(zip(table.columns, row, strict=True))
                 first, kind = self.counted[m["log"]].first_frame, KINDS[m["kind"]]
                 at_start = m["first_frame"] == m["last_frame"] == first and kind == MISSED
                 named = {
@@ -461,8 +461,8 @@ class Counts:
                     "other": None if m["other"] < 0 else self.ids[m["other"]],
                     "protocol": protocol,
                 }
-                found.append(Mistake(**m | named, at_start=int(at_start and follows(method))))
-        return sorted(found, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
+                mistakes.append(Mistake(**m | named, at_start=int(at_start and follows(method))))
+        return sorted(mistakes, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 
     @cached_property
     def passes(self) -> Table:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import Advice, Diagnostics, SonarrecError, number_of, printable
+from sonarrec.errors import Advice, Diagnostics, SonarrecError, listed, number_of, printable
 from sonarrec.evaluation.counts import Counts, Tally
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.pairs import Pair, find_truths, usable_pairs
@@ -104,7 +104,7 @@ def score_log(
         replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
         for folder in log.results
     ]
-    of = recording(log.results[-1], sides[-1].run)
+    source = recording(log.results[-1], sides[-1].run)
     common, notes, unused = sides[0].frame, list[str](), list[str]()
     if sides[1:]:
         notes += _check_comparable(log.results, sides)
@@ -135,8 +135,8 @@ def score_log(
             counted = (
                 [_only(side, last.frame[labelled]) for side in sides],
                 [
-                    replace(one, frame_index=np.searchsorted(labelled, one.frame_index))
-                    for one in truths
+                    replace(rows, frame_index=np.searchsorted(labelled, rows.frame_index))
+                    for rows in truths
                 ],
             )
         within_m, only = options.within_m, options.labelled_only
@@ -146,7 +146,7 @@ def score_log(
         ]
     score = LogScore(
         log=log,
-        recording=of,
+        recording=source,
         has_log_column=table.log is not None,
         rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
@@ -177,14 +177,14 @@ def _check_comparable(folders: Sequence[Path], sides: Sequence[LogResults]) -> I
 
 def _only(log: LogResults, frames: np.ndarray) -> LogResults:
     """The results on the frames of these numbers."""
-    listed = np.isin(log.frame, frames)
-    kept = rows_of(log, listed[log.frame_index])
+    among = np.isin(log.frame, frames)
+    kept = rows_of(log, among[log.frame_index])
     return replace(
         kept,
-        frame=log.frame[listed],
-        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[listed],
-        stretch=log.stretch[listed],
-        frame_index=(np.cumsum(listed) - 1)[kept.frame_index],
+        frame=log.frame[among],
+        timestamp_ns=None if log.timestamp_ns is None else log.timestamp_ns[among],
+        stretch=log.stretch[among],
+        frame_index=(np.cumsum(among) - 1)[kept.frame_index],
     )
 
 
@@ -247,9 +247,9 @@ def score_logs(
         )
     scored = [score for score in kept if score.fault is None]
     if not any(score.rows[1] for score in kept):
-        of = next((score for score in kept if score.rows[0]), kept[0])
-        path, about = of.log.ground_truth, [score.log.name for score in kept]
-        raise SonarrecError(without_rows(path, of.rows[0], about, "nothing is scored"))
+        first = next((score for score in kept if score.rows[0]), kept[0])
+        path, about = first.log.ground_truth, [score.log.name for score in kept]
+        raise SonarrecError(without_rows(path, first.rows[0], about, "nothing is scored"))
     # A log without a row counts as empty, but only if others have rows.
     if len(scored) < len(kept) and not any(score.rows[1] for score in scored):
         raise SonarrecError(next(str(score.fault) for score in kept if score.fault is not None))
@@ -282,14 +282,10 @@ def _other_sets(
         first, *rest = (score.log for score in others if score.ids == own)
         more = f" and {number_of(len(rest), 'more log')}" if rest else ""
         yield (
-            f"{first.results[-1]}{more}: landmark IDs {_listed(own)}, where the "
-            f"{number_of(scored, 'log')} {action} have {_listed(ids)}; not {action}, since rates "
-            "of different sets do not add up"
+            f"{first.results[-1]}{more}: landmark IDs {listed(own, MOST_NAMED)}, where the "
+            f"{number_of(scored, 'log')} {action} have {listed(ids, MOST_NAMED)}; not {action}, "
+            "since rates of different sets do not add up"
         )
-
-
-def _listed(ids: Sequence[object]) -> str:
-    return ", ".join(map(str, ids[:MOST_NAMED])) + ", ..." * (len(ids) > MOST_NAMED)
 
 
 def evaluate_logs(
@@ -361,7 +357,8 @@ def _failed(results: Path) -> Iterator[str]:
         failed = [row.log for row in read_logs(results / NAME) if row.status == "failed"]
         failed = [log for log in failed if not (results / log / "frames.csv").is_file()]
         if failed:
-            yield f"{number_of(len(failed), 'log')} failed: {_listed(failed)} ({NAME} says why)"
+            names = listed(failed, MOST_NAMED)
+            yield f"{number_of(len(failed), 'log')} failed: {names} ({NAME} says why)"
 
 
 def _notes(counts: Counts) -> Iterator[str]:

@@ -74,8 +74,8 @@ def area(fpr: FloatArray, tpr: FloatArray) -> FloatArray:
     (1, 1): beyond it every claim would be a guess. scikit-learn gives the same if frames and IDs
     without an estimate share the lowest score.
     """
-    one = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
-    x, y = np.concatenate([fpr, one], axis=-1), np.concatenate([tpr, one], axis=-1)
+    last = np.ones((*fpr.shape[:-1], 1), dtype=fpr.dtype)
+    x, y = np.concatenate([fpr, last], axis=-1), np.concatenate([tpr, last], axis=-1)
     steps = (x[..., 1:] - x[..., :-1]) * (y[..., :-1] + y[..., 1:])
     return np.asarray(steps.sum(axis=-1) / 2)
 
@@ -204,8 +204,8 @@ class Sample:
         if self.kind != "rates":
             return int(np.count_nonzero(~np.isnan(self.figures(name, self.per_unit))))
         # A curve's positives and negatives may come from different units.
-        of = [name] if name in SHARES else list(SHARES)
-        return min(int(np.count_nonzero(self.share(rate)[1])) for rate in of)
+        names = [name] if name in SHARES else list(SHARES)
+        return min(int(np.count_nonzero(self.share(rate)[1])) for rate in names)
 
 
 def samples(counts: Counts) -> Iterator[Sample]:
@@ -222,8 +222,8 @@ def samples(counts: Counts) -> Iterator[Sample]:
 def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
     """Operating points and ROCs of one method under one protocol, per ID and in total."""
     base, declared, claims = (
-        counts.rows(name, of, protocol)
-        for name, of in (("base", ""), ("declared", method), ("claims", method))
+        counts.rows(name, source, protocol)
+        for name, source in (("base", ""), ("declared", method), ("claims", method))
     )
     for landmark in counts.landmarks:
         roc = counts.curve(method, protocol, landmark)
@@ -233,14 +233,14 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
         index = np.maximum(np.searchsorted(roc["fpr"], FPR_GRID, side="right") - 1, 0)
         sums = np.zeros((counts.units.number, 4, 1 + len(FPR_GRID)))
         without = of_landmark(base, landmark)
-        for of, columns in ((without, 2), (of_landmark(declared, landmark), 1)):
-            added = np.stack([of[name] for name in COUNTS], axis=-1)
-            np.add.at(sums[:, :, :columns], of["unit"], added[:, :, None])
-        mine = of_landmark(claims, landmark)
-        bins = np.searchsorted(-roc["threshold"][index], -mine["score"] / MILLION)
-        cell = mine["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
+        for table, columns in ((without, 2), (of_landmark(declared, landmark), 1)):
+            added = np.stack([table[name] for name in COUNTS], axis=-1)
+            np.add.at(sums[:, :, :columns], table["unit"], added[:, :, None])
+        rows = of_landmark(claims, landmark)
+        bins = np.searchsorted(-roc["threshold"][index], -rows["score"] / MILLION)
+        cell = rows["unit"] * len(FPR_GRID) + np.minimum(bins, len(FPR_GRID) - 1)
         for c, name in enumerate(COUNTS):
-            added = np.bincount(cell, mine[name], len(sums) * len(FPR_GRID))
+            added = np.bincount(cell, rows[name], len(sums) * len(FPR_GRID))
             sums[:, c, 1:] += added.reshape(len(sums), -1)
         np.cumsum(sums[:, :, 1:], axis=2, out=sums[:, :, 1:])
         total = np.column_stack([sums[:, :, 0].sum(axis=0), exact])[None]
@@ -260,12 +260,12 @@ def errors(counts: Counts, kind: str) -> Iterator[Sample]:
     values = np.unique(every["value"][np.searchsorted(reached, ranks, side="right")])
     for method in counts.methods:
         for landmark in counts.landmarks:
-            mine = of_landmark(errors_of[method], landmark)
+            rows = of_landmark(errors_of[method], landmark)
             sums = np.zeros((counts.units.number, len(values)))
-            column = np.minimum(np.searchsorted(values, mine["value"]), len(values) - 1)
-            np.add.at(sums, (mine["unit"], column), mine["n"])
+            column = np.minimum(np.searchsorted(values, rows["value"]), len(values) - 1)
+            np.add.at(sums, (rows["unit"], column), rows["n"])
             sums = np.cumsum(sums, axis=1).astype(np.float32)
-            own = mine.select(["value", "n"]).added_up(["value"])
+            own = rows.select(["value", "n"]).added_up(["value"])
             own = own if len(own) else Table(value=values[:1], n=0)
             total = np.cumsum(own["n"]).astype(float)[None]
             yield Sample(kind, "strict", method, landmark, sums, total, (values,), (own["value"],))
@@ -274,10 +274,10 @@ def errors(counts: Counts, kind: str) -> Iterator[Sample]:
 def calibration(counts: Counts) -> Iterator[Sample]:
     """Calibration of every method that states probabilities, of the most probable class."""
     for method in counts.methods:
-        if len(of := counts.rows("calibration", method)):
+        if len(table := counts.rows("calibration", method)):
             sums = np.zeros((counts.units.number, BINS, 3))
-            columns = np.column_stack([of["n"], of["stated"], of["right"]])
-            np.add.at(sums, (of["unit"], of["bin"]), columns)
+            columns = np.column_stack([table["n"], table["stated"], table["right"]])
+            np.add.at(sums, (table["unit"], table["bin"]), columns)
             sums = sums.swapaxes(1, 2)
             yield Sample("calibration", "strict", method, TOTAL, sums, sums.sum(axis=0)[None])
 
@@ -335,15 +335,15 @@ def intervals(sample: Sample, weights: FloatArray) -> Iterator[Figure]:
             note = f"alike in all {units} units: no interval"
         else:
             low, high = interval(drawn, units)
-        of = sample.protocol, sample.method, sample.landmark
-        yield Figure(*of, name, value, low, high, units, note)
+        key = sample.protocol, sample.method, sample.landmark
+        yield Figure(*key, name, value, low, high, units, note)
 
 
 def differences(
     a: Sample, b: Sample, weights: FloatArray, tosses: FloatArray
 ) -> Iterator[Difference]:
     """The differences b - a of two methods on the same units."""
-    total_a, total_b = (of.per_unit.sum(axis=0) for of in (a, b))
+    total_a, total_b = (side.per_unit.sum(axis=0) for side in (a, b))
     known = {name: min(a.cases(name), b.cases(name)) for name in a.metrics()}
     enough = max(known.values()) >= MIN_UNITS
     swapped = np.tensordot(tosses[: None if enough else 1], b.per_unit - a.per_unit, 1)
@@ -359,13 +359,13 @@ def differences(
             p = p_value(
                 seen, a.figures(name, total_a + swapped), b.figures(name, total_b - swapped)
             )
-            drawn = [of.replicates(name, weights) for of in (a, b)]
+            drawn = [side.replicates(name, weights) for side in (a, b)]
             is_equal = all_equal(drawn[1] - drawn[0], np.concatenate(drawn))
             note = "alike in every unit" if is_equal else ""
             if not is_equal:
                 low, high = interval(drawn[1] - drawn[0], units)
-        of = a.protocol, a.method, b.method, a.landmark
-        yield Difference(*of, name, *values, low, high, p, units, note)
+        side = a.protocol, a.method, b.method, a.landmark
+        yield Difference(*side, name, *values, low, high, p, units, note)
 
 
 class Summary(NamedTuple):

@@ -85,9 +85,9 @@ def find_wrong(log: Matched, judged: Table, protocol: str, beneath: IntArray | N
     ids, truths = len(log.ids), log.truths
     parts = []
     for method in range(-1, len(log.methods)):
-        mine = declared[declared["method"] == method]
-        false = mine["claim"][mine["fp"] > 0]
-        missed = rows[~np.isin(rows, mine["truth"])]
+        own = declared[declared["method"] == method]
+        false = own["claim"][own["fp"] > 0]
+        missed = rows[~np.isin(rows, own["truth"])]
         guess = _surest(log, judged[judged["method"] == method], missed, beneath)
         claim, other = np.append(false, guess), np.full(len(false) + len(guess), -1)
         if beneath is not None:
@@ -125,11 +125,11 @@ def over_frames(log: Matched, wrong: Table) -> Table:
 
     wrong: as of `find_wrong`, with the index of the protocol.
     """
-    of = wrong["protocol"].astype(int) * (len(log.methods) + 1) + wrong["method"] + 1
+    series = wrong["protocol"].astype(int) * (len(log.methods) + 1) + wrong["method"] + 1
     # Of false claims those on another landmark are mistakes of their own; what is guessed where a
     # landmark is missed changes from frame to frame.
     other, ids = np.where(wrong["kind"], 0, wrong["other"] + 1), len(log.ids)
-    group = ((of * ids + wrong["landmark"]) * 2 + wrong["kind"]) * (ids + 1) + other
+    group = ((series * ids + wrong["landmark"]) * 2 + wrong["kind"]) * (ids + 1) + other
     order = np.argsort(group * len(log.frame) + wrong["at"], kind="stable")
     group, wrong = group[order], wrong[order]
     frame, score, other = wrong["at"], wrong["score"], wrong["other"]

@@ -108,14 +108,15 @@ def find_truths(
     if unread and not (pairs or without):
         raise unread[0]
     if not pairs:
-        more = f" (and {number_of(len(without) - 1, 'more log')} without one)" * bool(without[1:])
+        others = number_of(len(without) - 1, "more log")
+        more = f" (and {others} without one)" if without[1:] else ""
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     if truths is None:
-        of, each = f"{len(pairs)} logs", "each"
+        results, each = f"{len(pairs)} logs", "each"
         if len(pairs) == 1:
-            of, each = str(pairs[0].results), "its log"
-        diagnostics.note(f"{of}: ground truth {pairs[0].ground_truth}, beside {each}")
+            results, each = str(pairs[0].results), "its log"
+        diagnostics.note(f"{results}: ground truth {pairs[0].ground_truth}, beside {each}")
     return pairs
 
 
@@ -136,15 +137,15 @@ def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path
     """NAME.gt.csv, else gt.csv, in the folder of the log that results were made from; for a folder,
     of images or a bag, those in it, else NAME.gt.csv next to it. It is a problem if a gt.csv may be
     that of another log next to it. Raises SonarrecError if there is none."""
-    found = recorded_at(folder, source)
-    truth = found.companion(TRUTH_FILE)
+    log = recorded_at(folder, source)
+    truth = log.companion(TRUTH_FILE)
     if truth is None:
-        name = f"{log_name(found.location)}.{TRUTH_FILE}"
-        make = command_line("truth", "review", found.path)
+        name = f"{log_name(log.location)}.{TRUTH_FILE}"
+        make = command_line("truth", "review", log.path)
         raise SonarrecError(
-            f"no {name}, nor {TRUTH_FILE} in or beside {found.path}; {make} makes one"
+            f"no {name}, nor {TRUTH_FILE} in or beside {log.path}; {make} makes one"
         )
-    if truth.name == TRUTH_FILE and truth.parent == found.location.parent:
+    if truth.name == TRUTH_FILE and truth.parent == log.location.parent:
         logs = sum(
             is_log_file(path) and not own_file(path, TRUTH_FILE).is_file()
             for path in truth.parent.iterdir()
@@ -152,8 +153,8 @@ def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path
         if logs > 1 and "log" not in read_header(truth, HEADER):
             diagnostics.problem(
                 f"{truth}: lies next to {logs} logs and has no log column, so it may be another's "
-                f"than that of {found.location.name}; if it is its own, call it "
-                f"{own_file(found.location, TRUTH_FILE).name}"
+                f"than that of {log.location.name}; if it is its own, call it "
+                f"{own_file(log.location, TRUTH_FILE).name}"
             )
     return truth
 
@@ -172,8 +173,8 @@ def pair_up(old: Path, new: Path, diagnostics: Diagnostics) -> list[tuple[Path, 
     pairs = [(earlier[name], folder) for name, folder in later.items() if name in earlier]
     if not pairs:
         raise SonarrecError(f"{old} and {new} have no log of one name in common")
-    for side, one, other in ((old, earlier, later), (new, later, earlier)):
+    for side, named, other in ((old, earlier, later), (new, later, earlier)):
         diagnostics.problem(
-            *(f"{n}: is in {side} only; not compared" for n in one if n not in other)
+            *(f"{n}: is in {side} only; not compared" for n in named if n not in other)
         )
     return pairs

@@ -211,7 +211,7 @@ def matched(
     index = np.full(max(ids, default=0) + 1, 0)
     index[list(ids)] = np.arange(len(ids))
     truths, claims = (
-        of.with_columns(cell=of["at"] * len(ids) + index[of["landmark"]]) for of in (truths, claims)
+        t.with_columns(cell=t["at"] * len(ids) + index[t["landmark"]]) for t in (truths, claims)
     )
     return Matched(
         name,
@@ -343,10 +343,10 @@ def positives(log: Matched, protocol: str) -> IntArray:
 
 def present(log: Matched, protocol: str) -> BoolArray:
     """(F * K,) whether an ID is in view in a frame, so that it is no TN."""
-    found = np.zeros(len(log.frame) * len(log.ids), dtype=bool)
+    seen = np.zeros(len(log.frame) * len(log.ids), dtype=bool)
     truths = log.truths[positives(log, protocol)] if protocol == "paper" else log.truths
-    found[truths["cell"]] = True
-    return found
+    seen[truths["cell"]] = True
+    return seen
 
 
 def judge(log: Matched, protocol: str) -> Table:

@@ -57,29 +57,29 @@ def paper_table(
     The first row, "", has the headings. "once" is the TPR without double claims, of which only
     protocol paper has any. thousands: the separator in counts.
     """
-    of = [counts.count(method, protocol, landmark) for landmark in counts.landmarks]
-    once = [rate(c.positives - c.fn, c.positives) for c in of]
+    sums = [counts.count(method, protocol, landmark) for landmark in counts.landmarks]
+    once = [rate(c.positives - c.fn, c.positives) for c in sums]
     rows = {
         "": [f"ID.{i}" for i in counts.ids] + ["Total"],
-        "TPR": [rate(c.tp, c.tp + c.fn) for c in of],
-        "once": once if protocol == "paper" else [""] * len(of),
-        "FPR": [rate(c.fp, c.fp + c.tn) for c in of],
+        "TPR": [rate(c.tp, c.tp + c.fn) for c in sums],
+        "once": once if protocol == "paper" else [""] * len(sums),
+        "FPR": [rate(c.fp, c.fp + c.tn) for c in sums],
     }
     for label, name in COUNT_ROWS.items():
-        rows[label] = [f"{getattr(c, name):{thousands}}" for c in of]
+        rows[label] = [f"{getattr(c, name):{thousands}}" for c in sums]
     return rows
 
 
 def rates(counts: Counts, summary: Summary) -> list[tuple[str, list[OperatingPoint]]]:
     """For each method its operating points over all IDs, under every protocol."""
-    found = []
+    rows = []
     for method in counts.methods:
         points = []
         for protocol in protocols(counts):
             tpr, fpr = (figure(summary.figure(protocol, method, n), n) for n in HEADLINE)
             points.append(_point(counts.count(method, protocol), tpr, fpr))
-        found.append((method, points))
-    return found
+        rows.append((method, points))
+    return rows
 
 
 def rates_per_log(counts: Counts) -> list[tuple[str, list[OperatingPoint]]]:
@@ -113,7 +113,7 @@ def figures(
     for name in names:
         of_methods = [summary.figure(protocol, method, name) for method in methods]
         if any(of_methods):
-            rows.append((METRICS[name].label, [figure(one, name) for one in of_methods]))
+            rows.append((METRICS[name].label, [figure(value, name) for value in of_methods]))
     return rows
 
 
@@ -128,11 +128,11 @@ def differences(summary: Summary, protocol: str) -> list[tuple[str, list[Cell]]]
     return list(rows.items())
 
 
-def figure(found: Any, name: str) -> Cell:
+def figure(row: Any, name: str) -> Cell:
     """A row of the figures, of the metric of this name; a dash if there is none."""
-    if found is None:
+    if row is None:
         return NONE
-    return _cell(found.value, found.low, found.high, METRICS[name].digits)
+    return _cell(row.value, row.low, row.high, METRICS[name].digits)
 
 
 def _cell(value: float, low: float, high: float, digits: int, sign: str = "") -> Cell:
@@ -175,13 +175,13 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     tests = differences(summary, main)
     if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
         test = f"paired sign-flip test over {units_text(summary.units)}"
-        lines += [*[""] * details, f"protocol {main}, differences; {test}"]
+        lines += [*([""] if details else []), f"protocol {main}, differences; {test}"]
         for pair, cells in tests:
-            of = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}
+            by_label = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}
             if details:
-                lines += [f"{pair}, {label}: {_text(cell, ' to ')}" for label, cell in of.items()]
+                lines += [f"{pair}, {label}: {_text(c, ' to ')}" for label, c in by_label.items()]
             else:
-                main_ones = [(METRICS[n].label, of[METRICS[n].label]) for n in MAIN]
+                main_ones = [(METRICS[n].label, by_label[METRICS[n].label]) for n in MAIN]
                 lines.append(
                     f"{pair}: "
                     + "; ".join(f"{label} {c.value}, {c.test}" for label, c in main_ones)

@@ -85,7 +85,7 @@ class Evaluation:
     @property
     def figures(self) -> pd.DataFrame:
         """All figures with their 95 % intervals; of several logs also the rates of each."""
-        found = pd.DataFrame(self.summary.figures, columns=Figure._fields).assign(log="")
+        table = pd.DataFrame(self.summary.figures, columns=Figure._fields).assign(log="")
         if len(self.counts.logs) > 1:
             each = [
                 (protocol, method, landmark, name, getattr(count, name), "", "", log)
@@ -95,14 +95,14 @@ class Evaluation:
             ]
             known = [*LABELS, "figure", "value", "units", "note", "log"]
             of_logs = pd.DataFrame(each, columns=known)
-            found = pd.concat([found.astype({"units": object}), of_logs])
-        return found[HEADERS["figures"]].reset_index(drop=True)
+            table = pd.concat([table.astype({"units": object}), of_logs])
+        return table[HEADERS["figures"]].reset_index(drop=True)
 
     @property
     def tests(self) -> pd.DataFrame:
         """The differences of each two methods, with intervals and p-values."""
-        found = pd.DataFrame(self.summary.differences, columns=Difference._fields)
-        return found.assign(difference=found.value_b - found.value_a)
+        table = pd.DataFrame(self.summary.differences, columns=Difference._fields)
+        return table.assign(difference=table.value_b - table.value_a)
 
     @property
     def passes(self) -> pd.DataFrame:
@@ -112,8 +112,8 @@ class Evaluation:
     @property
     def mistakes(self) -> pd.DataFrame:
         """What each method got wrong over neighbouring frames, the longest first."""
-        found = pd.DataFrame(self.counts.mistakes, columns=HEADERS["mistakes"])
-        return found.assign(other=pd.Series([m.other for m in self.counts.mistakes], dtype=object))
+        table = pd.DataFrame(self.counts.mistakes, columns=HEADERS["mistakes"])
+        return table.assign(other=pd.Series([m.other for m in self.counts.mistakes], dtype=object))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -182,9 +182,9 @@ def json_text(evaluation: Evaluation) -> str:
     methods: dict[str, Any] = {}
     per_log: dict[str, Any] = {log: {} for log in counts.logs}
     for (method, protocol, log, landmark), count in counts.confusion.items():
-        of = per_log[log] if log else methods
+        by_method = per_log[log] if log else methods
         row = {name: getattr(count, name) for name in COUNTED}
-        of.setdefault(method, {}).setdefault(protocol, {})[landmark] = row
+        by_method.setdefault(method, {}).setdefault(protocol, {})[landmark] = row
     document = {
         "logs": list(counts.logs),
         "frames": counts.frames,
@@ -214,7 +214,7 @@ def _named(row: Figure | Difference) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_finite(one) for one in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -137,9 +137,9 @@ def label(tracks: Tracks, row: IntArray, landmark: IntArray, position: FloatArra
     """
     ids = len(tracks.landmarks.ids)
     labels, nearest = np.full(len(tracks.row), ids), np.full(len(tracks.row), np.inf)
-    for what, (here, distance) in zip(landmark, _distances(tracks, row, position), strict=True):
-        closer = distance < nearest[here]
-        labels[here][closer], nearest[here][closer] = what, distance[closer]
+    for what, (near, distance) in zip(landmark, _distances(tracks, row, position), strict=True):
+        closer = distance < nearest[near]
+        labels[near][closer], nearest[near][closer] = what, distance[closer]
     labels[nearest > ON] = ids
     taught = (nearest <= ON) | (nearest > OFF)
     return Samples(selected(tracks.pictures, taught), labels[taught], tracks.number[taught])

@@ -336,8 +336,8 @@ def _groups(passes: Sequence[Pass], period_deg: float, disc_m: float) -> list[in
 
     position, covariance, lean = column("position"), column("covariance"), column("lean")
     orientation, variance = column("orientation_deg"), column("orientation_sigma_deg") ** 2
-    middle, log = column("middle"), np.array([id(one.path) for one in passes])
-    first, last = np.array([one.row[[0, -1]] for one in passes]).reshape(-1, 2).T
+    middle, log = column("middle"), np.array([id(p.path) for p in passes])
+    first, last = np.array([p.row[[0, -1]] for p in passes]).reshape(-1, 2).T
     drift, drift_yaw = column("drift"), column("drift_yaw")
 
     def fit(i: int) -> tuple[FloatArray, FloatArray, FloatArray]:

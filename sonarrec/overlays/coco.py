@@ -70,7 +70,7 @@ def _export(folder: Path, out: Path, method: str | None, diagnostics: Diagnostic
                 shape = e.landmark, e.x_px, e.y_px, outline_of(e, fan, landmarks)
                 objects.append(ImageObject(frame, *shape, attributes, e.score))
     line = f"{write_coco(out, landmarks, pictures, frames, objects)}, {method}"
-    diagnostics.problem(*(f"{folder}: {one}" for one in tables_changed(folder, run.input)))
+    diagnostics.problem(*(f"{folder}: {fault}" for fault in tables_changed(folder, run.input)))
     if not run.finished:
         diagnostics.problem(cut_short(name, len(frames), "exported"))
     diagnostics.note(*outdated([folder]))

@@ -87,8 +87,8 @@ def open_log(
             begin = command_line(
                 "info", Path(path), *chosen, *flags.as_options(), "--write-sonar", own
             )
-            there = file is not None or source.companion(SONAR_FILE) is not None
-            how = "fill it in" if there else f"{begin} begins a sonar.toml"
+            has_file = file is not None or source.companion(SONAR_FILE) is not None
+            how = "fill it in" if has_file else f"{begin} begins a sonar.toml"
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give options such "
                 f"as {option}"

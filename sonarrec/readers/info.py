@@ -158,8 +158,8 @@ def describe(
         container = _container(source)
         topics = all_topics = sorted({c.topic for c in container.channels if c.images})
         if topic is not None and topic not in topics:
-            there = ", ".join(map(str, topics)) or "none"
-            raise UsageError(f"{path}: no image channel {topic!r}; there is {there}")
+            known = ", ".join(map(str, topics)) or "none"
+            raise UsageError(f"{path}: no image channel {topic!r}; there is {known}")
     images, faults = [], source.diagnostics.faults
     if len(topics) > MOST_TOPICS and topic is None and container is not None:
         counts = Counter({c.topic: c.messages for c in container.channels if c.images})
@@ -224,7 +224,7 @@ def _images(
         "field_of_view_deg": 30.0,
     }
     complete = sonar.updated(sonar_from_table({k: stand_ins[k] for k in lacks}, "stand-ins"))
-    found = Images(raw.topic, lacks=lacks, polar_messages=raw.polar)
+    images = Images(raw.topic, lacks=lacks, polar_messages=raw.polar)
     sizes, types, times = Counter[tuple[int, ...]](), Counter[str](), list[int]()
     count = usable = 0
     rate = Rate()
@@ -251,36 +251,36 @@ def _images(
                 usable += 1
                 first += [frame] if len(first) < FIRST_FRAMES else []
         except SonarrecError as error:
-            found.problems = [] if log.diagnostics.problems else [str(error)]
-    found.problems = log.diagnostics.skipped or found.problems
-    found.frames = raw.frame_count if quick else count
-    found.usable = None if quick else usable
+            images.problems = [] if log.diagnostics.problems else [str(error)]
+    images.problems = log.diagnostics.skipped or images.problems
+    images.frames = raw.frame_count if quick else count
+    images.usable = None if quick else usable
     for (rows, columns), _ in sizes.most_common(1):
-        found.rows, found.columns, found.pixels = rows, columns, types.most_common(1)[0][0]
+        images.rows, images.columns, images.pixels = rows, columns, types.most_common(1)[0][0]
     if times and not quick:
-        found.start_ns, found.end_ns = times[0], times[-1]
-        found.rate_hz = rate.hz
+        images.start_ns, images.end_ns = times[0], times[-1]
+        images.rate_hz = rate.hz
     geometry = log.sonar.as_table()
-    theirs = "header" if raw.header_info.values else "message" if raw.polar else "default"
+    default = "header" if raw.header_info.values else "message" if raw.polar else "default"
     for key in (key for key in geometry if key not in lacks):
-        origin = where if getattr(stated[0], key) is not None else theirs
-        found.origins[key] = "flag" if getattr(flags, key) is not None else origin
+        origin = where if getattr(stated[0], key) is not None else default
+        images.origins[key] = "flag" if getattr(flags, key) is not None else origin
     if log.order_from is not None:
-        found.origins["beam_order"] = log.order_from
+        images.origins["beam_order"] = log.order_from
     layout = geometry.pop("layout")
-    found.layout = "polar" if raw.polar else layout
-    found.header = dict(raw.header_info.values)
-    found.geometry = {key: value for key, value in geometry.items() if key not in lacks}
-    found.geometry_from = where if where != name_as_text(source.path) else None
-    found.notes = [*log.diagnostics.notes]
+    images.layout = "polar" if raw.polar else layout
+    images.header = dict(raw.header_info.values)
+    images.geometry = {key: value for key, value in geometry.items() if key not in lacks}
+    images.geometry_from = where if where != name_as_text(source.path) else None
+    images.notes = [*log.diagnostics.notes]
     if advise is not None and not lacks:
-        found.notes += (line.text for line in advise(log, first))
+        images.notes += (line.text for line in advise(log, first))
     if not lacks and (fan := log.fan) is not None:
-        if found.layout != "polar":
-            found.assumed["metres_per_pixel"] = fan.metres_per_pixel
-            found.assumed["apex_px"] = [fan.apex_column, fan.apex_row]
-        found.assumed |= {"tilt_deg": fan.tilt_deg, "height_m": floor_depth(fan)}
+        if images.layout != "polar":
+            images.assumed["metres_per_pixel"] = fan.metres_per_pixel
+            images.assumed["apex_px"] = [fan.apex_column, fan.apex_row]
+        images.assumed |= {"tilt_deg": fan.tilt_deg, "height_m": floor_depth(fan)}
         if not times:
-            found.assumed["frame_rate_hz"] = 1.0
-        found.assumed = {k: v for k, v in found.assumed.items() if getattr(log.sonar, k) is None}
-    return found
+            images.assumed["frame_rate_hz"] = 1.0
+        images.assumed = {k: v for k, v in images.assumed.items() if getattr(log.sonar, k) is None}
+    return images

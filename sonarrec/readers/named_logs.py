@@ -142,7 +142,7 @@ def _in_folder(folder: Path) -> list[Path]:
             elif entry.is_dir() and _is_bag(path):
                 bags.append(path)
     if image is None:
-        return [*logs, *bags] or [folder] * arrays
+        return [*logs, *bags] or ([folder] if arrays else [])
     if logs:
         first = min(logs, key=natural_order)
         raise UsageError(

@@ -95,7 +95,7 @@ READERS = (
     Reader("Gemini", frozenset({".glf"}), _file(GeminiPings), is_zip=True),
 )
 _ENDINGS = {suffix: reader for reader in READERS for suffix in sorted(reader.suffixes)}
-_LOG_ENDINGS = tuple(e for e, of in _ENDINGS.items() if of not in (_IMAGES, _ARRAYS))
+_LOG_ENDINGS = tuple(e for e, reader in _ENDINGS.items() if reader not in (_IMAGES, _ARRAYS))
 _NOT_READ: dict[str | bytes, str] = {
     **{".mbez": "Blueye", ".bin": "Ping Viewer (Ping360)", ".svlog": "Cerulean"},
     **{".imb": "Imagenex", ".ecd": "Tritech", ".son": "BlueView"},
@@ -244,10 +244,10 @@ def is_log_file(path: Path) -> bool:
 def matches(pattern: str | Path) -> list[Path]:
     """The paths that a glob matches. ** stands for any folders, a final slash for folders only. A
     folder that is there is meant as it is named."""
-    there = next((p for p in Path(pattern).parents if os.path.isdir(p)), Path())  # noqa: PTH112
-    rest = f"{Path(pattern).relative_to(there)}{'/' * str(pattern).endswith('/')}"
-    found = glob.glob(rest, root_dir=there, recursive=True)  # noqa: PTH207
-    return [there / match for match in found]
+    root = next((p for p in Path(pattern).parents if os.path.isdir(p)), Path())  # noqa: PTH112
+    rest = f"{Path(pattern).relative_to(root)}{'/' if str(pattern).endswith('/') else ''}"
+    names = glob.glob(rest, root_dir=root, recursive=True)  # noqa: PTH207
+    return [root / match for match in names]
 
 
 def _find(path: Path, up_to: Path | None) -> Source:
@@ -263,7 +263,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
         if is_bag_folder(path):
             files, reader = bag_files(path), _BAG_FOLDER
         else:
-            files, others = (ImagePaths(filter(of, path.iterdir())) for of in (is_image, is_array))
+            files, others = (ImagePaths(filter(f, path.iterdir())) for f in (is_image, is_array))
             if len(others) > len(files):
                 files, others, reader = others, files, _ARRAYS
             if len(others) > (reader is _IMAGES):  # a single array is perhaps of times
@@ -306,8 +306,8 @@ def _glob_images(pattern: Path) -> Sequence[Path]:
 def _why_no_log(folder: Path) -> str:
     """Why a folder is no log."""
     entries = list(folder.iterdir())
-    for one in (folder, *entries):
-        if all(os.access(one / name, os.R_OK) for name in ("run.toml", "frames.csv")):
+    for candidate in (folder, *entries):
+        if all(os.access(candidate / name, os.R_OK) for name in ("run.toml", "frames.csv")):
             shown = command_line("report", folder)
             return f"{folder}: this is a folder of results, not a log; {shown} shows them"
     if logs := sorted(filter(is_log_file, entries), key=natural_order):

@@ -96,12 +96,12 @@ def frame_of(
     """The frame of a message; without pixels if `decode` raises UnusableError. log_ns, publish_ns:
     when it was recorded and sent; None if the log keeps no such time."""
     try:
-        found = decode(message)
+        decoded = decode(message)
     except UnusableError as error:
         return StoredFrame(name, log_ns, problem=str(error))
-    time_ns = found.stamp_ns if log_ns is None else log_ns
-    stamps = Stamps(log_ns, publish_ns, found.stamp_ns)
-    return StoredFrame(name, time_ns, found.pixels, stamps=stamps, ping=found.ping)
+    time_ns = decoded.stamp_ns if log_ns is None else log_ns
+    stamps = Stamps(log_ns, publish_ns, decoded.stamp_ns)
+    return StoredFrame(name, time_ns, decoded.pixels, stamps=stamps, ping=decoded.ping)
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,13 +65,13 @@ class Estimates:
         method: str,
         positions: Sequence[FloatArray],
         scores: Sequence[FloatArray],
-        found: Identification,
+        identity: Identification,
     ) -> list[Estimate]:
         """SMI's estimates of the candidates of some frames, without standard errors.
 
-        positions, scores: of each frame's candidates, as in Selection. found: of all, n.
+        positions, scores: of each frame's candidates, as in Selection. identity: of all, n.
         """
-        n = len(found.rotation)
+        n = len(identity.rotation)
         objects = Groups(
             numbers=np.concatenate([np.arange(len(p)) for p in positions]),
             positions=np.concatenate(positions),
@@ -82,7 +82,7 @@ class Estimates:
             remembered=np.empty(0, np.int64),
         )
         episodes, least = np.zeros(n, np.int64), self._config.smi.declare
-        return self._estimates(method, objects, episodes, found.beliefs, found.score, least)
+        return self._estimates(method, objects, episodes, identity.beliefs, identity.score, least)
 
     def _estimates(
         self,

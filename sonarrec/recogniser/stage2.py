@@ -186,15 +186,15 @@ class ContinuityFilter:
         neighbours = (distance > OWN_CANDIDATE) & (distance < 1)
         if not neighbours.any():
             return weight
-        theirs = np.zeros(weight.shape, bool)
+        nearer = np.zeros(weight.shape, bool)
         for candidate in np.flatnonzero(neighbours.any(axis=0)):
             position, groups = candidates[candidate], neighbours[:, candidate]
             # Which side of the perpendicular bisector a particle is on, in disc diameters.
             way = (position - own[groups]) / self._diameter**2
             middle = (position + own[groups]) / 2
             off = self._particles.positions[groups] - middle[:, None].astype(np.float32)
-            theirs[groups] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
-        kept = np.where(theirs, 0.0, weight)
+            nearer[groups] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
+        kept = np.where(nearer, 0.0, weight)
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
 

@@ -209,7 +209,7 @@ def _draw_all(
     passes = [s for log in recorded for s in judged_sightings(log)]
     pictures = [*_of_sightings(passes)]
     for method, of_method in mistakes.items():
-        surest = [of.shown(sources) for of in of_method]
+        surest = [shared.shown(sources) for shared in of_method]
         for m in [m for m in surest if m.log in sources and not m.at_start][:MOST_MISTAKEN]:
             wrong = f"{m.in_words}."
             pictures.append(Picture(m.log, method, m.worst_frame, "mistake", "", wrong=wrong))
@@ -217,19 +217,19 @@ def _draw_all(
     most_bytes = frames.MOST_BYTES // max(1, sum(map(len, held.values())))  # for each frame
     shown = []
     for log in recorded:
-        mine = [picture for picture in pictures if picture.log == log.name]
+        own = [picture for picture in pictures if picture.log == log.name]
         with open_recording(sources[log.name], log, sonar, topic) as recording:
-            shown.append(frames.read_frames(recording, log, mine, held[log.name], most_bytes))
+            shown.append(frames.read_frames(recording, log, own, held[log.name], most_bytes))
     return pictures, shown, missing
 
 
 def _where(logs: Sequence[ReportedLog]) -> dict[str, Path]:
     """The recordings that results were made from, those that are there, by the log's name."""
-    found = {}
+    paths = {}
     for log in logs:
         with suppress(SonarrecError):
-            found[log.name] = Path(recorded_at(log.folder, log.results.run.input).path)
-    return found
+            paths[log.name] = Path(recorded_at(log.folder, log.results.run.input).path)
+    return paths
 
 
 def _named_frames(
@@ -241,7 +241,7 @@ def _named_frames(
     yield from ((picture.log, picture.frame) for picture in pictures)
     yield from ((s.log.name, s.log.frame_of(s.surest)) for s in passes)
     for of_method in mistakes.values():
-        yield from ((m.log, m.worst_frame) for of in of_method[:MOST_MISTAKES] for m in of.of)
+        yield from ((m.log, m.worst_frame) for s in of_method[:MOST_MISTAKES] for m in s.members)
     for s in passes:
         yield s.log.name, s.sighting.first_frame
         yield s.log.name, s.sighting.last_frame

@@ -32,7 +32,7 @@ def review_camp(
         following = pages[-1].page if pages else START
         try:
             name = log_of(find_both(log, results)[1])
-            page = out / f"{name}{'_' * (name.lower() == 'index')}.html"
+            page = out / f"{name}{'_' if name.lower() == 'index' else ''}.html"
             line, summary, diagnostics = review(
                 log, page, results=results, start=START, following=following, **options
             )

@@ -114,17 +114,17 @@ def timeline(log: ReportedLog) -> list[tuple[int, list[Lane]]]:
     results, axis, rows = log.results, time_axis(log), []
     order = sorted(results.methods, key=lambda m: (m != log.tracker, results.methods.index(m)))
     for k, landmark in enumerate(log.ids):
-        mine = results.declared & (results.landmark_index == k)
-        lanes, there = [], mine.any()
+        declared = results.declared & (results.landmark_index == k)
+        lanes, seen = [], declared.any()
         if log.in_view is not None:
             in_view = log.in_view[:, k]
-            there |= in_view.any()
+            seen |= in_view.any()
             frames = f"{int(in_view.sum())} of {number_of(len(in_view), 'frame')}"
             bar = Shape(bars(axis, log.time, log.period, in_view.astype(float)), None, "bar")
             lanes.append(("truth", Chart(f"ID.{landmark} is in view in {frames}", [bar]), True))
         for method in order:
-            lanes.append(_method_lane(log, k, method, mine & log.of_method(method)))
-        if there:
+            lanes.append(_method_lane(log, k, method, declared & log.of_method(method)))
+        if seen:
             rows.append((k, lanes))
     return rows
 
@@ -192,10 +192,10 @@ def _panel(log: ReportedLog, track: Track, method: str, estimates: IntArray) -> 
             line = polyline(axis.share(time[keep]), belief[keep, k])
             shapes.append(Shape(line, colour, "line thin" if colour is None else "line", name))
             means.append(f"{name} {np.nanmean(belief[:, k]):.2f}")
-        mine = results.declared[estimates] & (results.landmark_index[estimates] == k)
-        if mine.any():
+        claimed = results.declared[estimates] & (results.landmark_index[estimates] == k)
+        if claimed.any():
             claims = np.zeros(len(time))
-            claims[index[mine]] = 1
+            claims[index[claimed]] = 1
             path = bars(axis, time - log.period / 2, log.period, claims)
             declared.append(Shape(path, k, "bar"))
     frames = number_of(int(seen.sum()), "frame")

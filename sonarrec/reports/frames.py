@@ -91,16 +91,16 @@ def match_recordings(
     searched = []
     for path in paths:
         inside, own = _inside(path), _possible_names(path)
-        found = {log.name: inside[name] for log in logs for name in _names(log) if name in inside}
-        if not found:
+        matches = {log.name: inside[name] for log in logs for name in _names(log) if name in inside}
+        if not matches:
             named = [log for log in logs if log.name in own]
             named = named or [log for log in logs if own & {*_names(log)}]
-            found = {log.name: path for log in named or ([] if inside or folders[1:] else logs)}
-        if not found and not {*own, *inside} & {name_as_text(f.resolve().name) for f in folders}:
+            matches = {log.name: path for log in named or ([] if inside or folders[1:] else logs)}
+        if not matches and not {*own, *inside} & {name_as_text(f.resolve().name) for f in folders}:
             listed = ", ".join(log.name for log in logs)
             raise UsageError(f"--log {path}: neither one of these logs nor holds any: {listed}")
         searched += [str(path)] if inside else []
-        sources = found | sources
+        sources = matches | sources
     unfound = [log.name for log in logs if searched and log.name not in sources]
     where = ", ".join(searched)
     lines = [
@@ -147,7 +147,7 @@ def choose(
     wanted: (log, frame), the most important first; each log gets at least one. The rest of `most`
     is filled with frames at equal steps through every log.
     """
-    known = [one for one in wanted if one[0] in {log.name for log in logs}]
+    known = [pair for pair in wanted if pair[0] in {log.name for log in logs}]
     first = {log.name: int(log.results.frame[0]) for log in logs} | dict(reversed(known))
     chosen: dict[str, set[int]] = {log.name: set() for log in logs}
     for name, frame in list(dict.fromkeys([*first.items(), *known]))[:most]:
@@ -218,9 +218,9 @@ def _truth_in(frame: Frame, log: ReportedLog) -> Iterator[Mark]:
     """The landmarks that are at least partly in view, if the truth has positions."""
     if log.matched is not None:
         truths = log.matched.truths
-        here = truths[log.results.frame[truths["at"]] == frame.index]
-        pixels = pixel_from_plane(frame.fan, np.column_stack([here["x"], here["y"]])).tolist()
-        for landmark, pixel in zip(here["landmark"].tolist(), pixels, strict=True):
+        rows = truths[log.results.frame[truths["at"]] == frame.index]
+        pixels = pixel_from_plane(frame.fan, np.column_stack([rows["x"], rows["y"]])).tolist()
+        for landmark, pixel in zip(rows["landmark"].tolist(), pixels, strict=True):
             if not np.isnan(pixel).any():
                 yield Mark(landmark, *pixel)
 
@@ -234,8 +234,8 @@ def _draw(
 ) -> None:
     """Draw a picture. said: the estimates of its method."""
     truth = truth if picture.wrong else ()
-    of = frame.image, frame.fan, log.results.landmarks
-    drawn = draw_frame(*of, said, truth=truth, score=True)
+    view = frame.image, frame.fan, log.results.landmarks
+    drawn = draw_frame(*view, said, truth=truth, score=True)
     image = _reduced(drawn, PICTURE_PX)
     parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
     parts += [f"truth holds ID.{mark.landmark}" for mark in truth]
@@ -254,21 +254,21 @@ def _held(
     image, landmarks = _reduced(frame.image, LARGEST), log.results.landmarks
 
     def outlines(marked: Iterable[tuple[Estimate | Mark, str, bool]], size: float) -> list[Shown]:
-        found = []
-        for one, label, declared in marked:
-            colour = landmarks.ids.index(one.landmark)
+        shapes = []
+        for mark, label, declared in marked:
+            colour = landmarks.ids.index(mark.landmark)
             outline: Shown = {"label": label, "colour": colour, "declared": declared}
-            if isinstance(one, Estimate) and one.corners is not None:
-                outline["corners"] = outline_of(one, frame.fan, landmarks).round(1).tolist()
-                found.append(outline)
+            if isinstance(mark, Estimate) and mark.corners is not None:
+                outline["corners"] = outline_of(mark, frame.fan, landmarks).round(1).tolist()
+                shapes.append(outline)
                 continue
-            edge = disc_outline(frame.fan, size * landmarks.radius_m, one.x_px, one.y_px)
+            edge = disc_outline(frame.fan, size * landmarks.radius_m, mark.x_px, mark.y_px)
             if np.isfinite(edge).all():
                 (x, y), (a, b), rotation = cv2.fitEllipse(edge.astype(np.float32))
                 ellipse = [round(v, 1) for v in (x, y, a / 2, b / 2, rotation)]
                 if np.isfinite(ellipse).all():
-                    found.append(outline | {"ellipse": ellipse})
-        return found
+                    shapes.append(outline | {"ellipse": ellipse})
+        return shapes
 
     by_method = []
     for estimates in said:

@@ -78,25 +78,25 @@ class ReportedLog:
     @cached_property
     def in_view(self) -> BoolArray | None:
         """(F, K) which landmarks count as in view; None without truth."""
-        of = self.matched
-        return None if of is None else self._present(of.truths[of.truths["strict"]])
+        matched = self.matched
+        return None if matched is None else self._present(matched.truths[matched.truths["strict"]])
 
     @cached_property
     def false(self) -> BoolArray | None:
         """(N,) whether each estimate, if declared, is false; None without truth. Landmarks partly
         in view count as present."""
-        results, of = self.results, self.matched
-        if of is None:
+        results, matched = self.results, self.matched
+        if matched is None:
             return None
         if self.truth_near is not None:
             return np.asarray(self.truth_near != results.landmark_index)
-        return ~self._present(of.truths)[results.frame_index, results.landmark_index]
+        return ~self._present(matched.truths)[results.frame_index, results.landmark_index]
 
     def _present(self, truths: Table) -> BoolArray:
         """(F, K) which landmarks are in which frame, by some rows of the truth."""
-        found = np.zeros((len(self.results.frame), len(self.ids)), dtype=bool)
-        found.flat[truths["cell"]] = True
-        return found
+        present = np.zeros((len(self.results.frame), len(self.ids)), dtype=bool)
+        present.flat[truths["cell"]] = True
+        return present
 
     def frame_of(self, estimate: int) -> int:
         """The number of an estimate's frame."""
@@ -136,32 +136,32 @@ def read_logs(
     """
     logs: list[ReportedLog] = []
     unread: list[tuple[str, SonarrecError]] = []
-    there: set[str] = set()
-    for one in logs_to_show:
+    methods: set[str] = set()
+    for log in logs_to_show:
         if len(logs) == MOST_LOGS:
             break
         try:
-            results = read_log(one.folder, options.landmarks, options.sonar)
-            sightings = list(read_sightings(one.folder, options.landmarks, options.sonar))
+            results = read_log(log.folder, options.landmarks, options.sonar)
+            sightings = list(read_sightings(log.folder, options.landmarks, options.sonar))
         except SonarrecError as error:
-            unread.append((one.log or log_of(one.folder), error))
+            unread.append((log.log or log_of(log.folder), error))
             continue
-        there.update(results.methods)
+        methods.update(results.methods)
         results = of_methods(results, options.methods)
         matched = truth = None
         tracker = [*options.methods, leading(results.methods)][0]
-        if one.truth is not None:
-            truth_of = results if one.log is None else replace(results, name=one.log)
-            truth = match_truth(one.truth, truth_of, options.tolerance_s)
-        results = replace(results, name=one.name or results.name)
+        if log.truth is not None:
+            truth_of = results if log.log is None else replace(results, name=log.log)
+            truth = match_truth(log.truth, truth_of, options.tolerance_s)
+        results = replace(results, name=log.name or results.name)
         if truth is not None:
             matched = match(results, truth, options.min_visible, within_m=options.within_m)
         passes = [s for s in sightings if s.method == tracker]
         passes.sort(key=lambda s: (s.first_frame, s.last_frame))
-        logs.append(ReportedLog(one.folder, results, tracker, matched, passes))
+        logs.append(ReportedLog(log.folder, results, tracker, matched, passes))
     if not logs:
         raise unread[0][1]
-    chosen(there, options.methods, logs[0].folder)  # raises for one that no log has
+    chosen(methods, options.methods, logs[0].folder)  # raises for one that no log has
     return logs, [f"{error}; {name} is not shown" for name, error in unread]
 
 
@@ -232,16 +232,16 @@ def tracks(log: ReportedLog) -> list[Track]:
     new = np.diff(number, prepend=-1) != 0
     rows = rows[new | (np.diff(frame, prepend=-1) != 0)]  # one for each frame
     begins = np.flatnonzero(np.diff(results.object[rows])) + 1
-    found = [
-        Track(int(results.object[of[0]]), of, results.frame_index[of])
-        for of in np.split(rows, begins)
-        if len(of)
+    listed = [
+        Track(int(results.object[part[0]]), part, results.frame_index[part])
+        for part in np.split(rows, begins)
+        if len(part)
     ]
     telling = results.declared
     if log.truth_near is not None:
         telling = telling | (log.truth_near >= 0)
-    found.sort(key=lambda track: (-telling[track.estimates].sum(), -len(track.estimates)))
-    return [track for track in found if results.declared[track.estimates].any()]
+    listed.sort(key=lambda track: (-telling[track.estimates].sum(), -len(track.estimates)))
+    return [track for track in listed if results.declared[track.estimates].any()]
 
 
 def alongside(log: ReportedLog, track: Track, method: str) -> IntArray:

@@ -56,14 +56,14 @@ def all_logs(
     def row(
         folder: Path, frames: int, *, name: str = "", points: Points = (), note: str = ""
     ) -> LogRow:
-        of = listed.get(log_of(folder))
-        state, message = (of.status, of.message) if of else (_state(folder), "")
+        run = listed.get(log_of(folder))
+        state, message = (run.status, run.message) if run else (_state(folder), "")
         return LogRow(name or log_of(folder), folder, state, frames, points, note or message)
 
     rows = [
-        LogRow(of.log, None, of.status, of.frames, (), of.message)
-        for of in listed.values()
-        if of.log not in {log_of(folder) for folder in folders}
+        LogRow(entry.log, None, entry.status, entry.frames, (), entry.message)
+        for entry in listed.values()
+        if entry.log not in {log_of(folder) for folder in folders}
     ]
     scored: Sequence[Path] = ()
     if evaluation is not None:
@@ -102,29 +102,29 @@ def _frames(folder: Path) -> int:
 class SharedMistake(NamedTuple):
     """Mistakes of one method that are of the same kind and IDs, the longest first."""
 
-    of: list[Mistake]
+    members: list[Mistake]
 
     def shown(self, logs: Container[str]) -> Mistake:
         """The first in these logs; the first of all, if it is in none."""
-        return next((mistake for mistake in self.of if mistake.log in logs), self.of[0])
+        return next((mistake for mistake in self.members if mistake.log in logs), self.members[0])
 
     @property
     def in_words(self) -> str:
         """A sentence."""
-        if self.of[0].at_start:
+        if self.members[0].at_start:
             return "In view in the log's first frame, in which no track is declared"
-        return self.of[0].in_words
+        return self.members[0].in_words
 
     @property
     def logs(self) -> list[str]:
         """Each log once, by name."""
-        return sorted({mistake.log for mistake in self.of})
+        return sorted({mistake.log for mistake in self.members})
 
     @property
     def frames(self) -> str:
         """In how many frames, and where these are the same in all logs."""
-        spans = {mistake.span for mistake in self.of}
-        total = sum(mistake.frames for mistake in self.of)
+        spans = {mistake.span for mistake in self.members}
+        total = sum(mistake.frames for mistake in self.members)
         return spans.pop() if len(spans) == 1 else f"{total} in all"
 
 
@@ -133,10 +133,10 @@ def shared(mistakes: Iterable[Mistake], method: str, logs: int) -> list[SharedMi
 
     What no method with tracks can know, in the first frame of a log, is one, and the last.
     """
-    found: dict[Hashable, list[Mistake]] = {}
+    groups: dict[Hashable, list[Mistake]] = {}
     for n, m in enumerate(mistakes):
         if m.method == method:
             what = (m.kind, m.landmark, m.other) if logs > 1 else n
-            found.setdefault("at start" if m.at_start else what, []).append(m)
-    together = [SharedMistake(of) for of in found.values()]
-    return sorted(together, key=lambda s: (s.of[0].at_start, -sum(m.frames for m in s.of)))
+            groups.setdefault("at start" if m.at_start else what, []).append(m)
+    order = sorted(groups.values(), key=lambda g: (g[0].at_start, -sum(m.frames for m in g)))
+    return [SharedMistake(group) for group in order]

@@ -86,7 +86,7 @@ def render(
     mistakes = {"mistakes": "Mistakes, the longest first"}
     contents = {
         # The page of one log begins with what was seen, that of several with all logs.
-        **({"logs": "All logs" + ", the worst first" * bool(scores)} if several else {}),
+        **({"logs": "All logs, the worst first" if scores else "All logs"} if several else {}),
         **({} if several else {"seen": "What was seen, when and with what score"}),
         **({"rates": "Rates at the operating point"} if scores else {}),
         **(mistakes if scores and several else {}),
@@ -141,8 +141,8 @@ def render(
 
 def _first(lines: Sequence[str]) -> list[str]:
     """The first MOST_LINES lines, and how many more there are."""
-    more = [number_of(len(lines) - MOST_LINES, "more such line")] * (len(lines) > MOST_LINES)
-    return [*lines[:MOST_LINES], *more]
+    more = len(lines) - MOST_LINES
+    return [*lines[:MOST_LINES], *([number_of(more, "more such line")] if more > 0 else ())]
 
 
 def _truth_text(evaluation: Evaluation | None, given: Path | None) -> str:
@@ -248,14 +248,14 @@ def _facts(log: ReportedLog) -> Iterator[tuple[str, str]]:
     if results.fan is not None:
         yield "range window", f"{results.fan.range_min_m:g} to {results.fan.range_max_m:g} m"
         stated = results.run.sonar()
-        assumed = " assumed" * (stated.tilt_deg is None and stated.height_m is not None)
+        assumed = " assumed" if stated.tilt_deg is None and stated.height_m is not None else ""
         yield "tilt", f"{results.fan.tilt_deg:g} deg{assumed}"
-        assumed = " assumed" * (results.fan.height_m is None)
+        assumed = " assumed" if results.fan.height_m is None else ""
         yield "height", f"{floor_depth(results.fan):.3g} m{assumed}"
     yield "landmark set", f"{results.landmarks.name}, radius {results.landmarks.radius_m:g} m"
     presets = [str(config["preset"]) for config in results.run.configs if "preset" in config]
     if presets:
-        yield "preset" + "s" * (len(presets) > 1), ", ".join(presets)
+        yield "presets" if len(presets) > 1 else "preset", ", ".join(presets)
 
 
 def _track_view(log: ReportedLog, track: Track) -> View:
@@ -285,7 +285,7 @@ def _mistakes(
         yield {
             "method": method,
             "count": counts.count(method, screen.protocols(counts)[0]),
-            "shown": [(of, of.shown(held)) for of in mistakes[:MOST_MISTAKES]],
+            "shown": [(shared, shared.shown(held)) for shared in mistakes[:MOST_MISTAKES]],
             "left": len(mistakes[MOST_MISTAKES:]),
         }
 

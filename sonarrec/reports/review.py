@@ -153,41 +153,41 @@ def review(
     Raises SonarrecError if something cannot be used, UsageError for an invalid option.
     """
     (source, folder), diagnostics = find_both(Path(log), results), Diagnostics()
-    found = read_log(folder)
-    if found.fan is None:
+    output = read_log(folder)
+    if output.fan is None:
         raise SonarrecError(
             f"{folder}: its run.toml does not state the sonar's geometry; run again"
         )
-    method = method or leading(found.methods)
-    found = of_methods(found, [method])
+    method = method or leading(output.methods)
+    output = of_methods(output, [method])
     truth = truth or source.companion(TRUTH_FILE)
     check_output(out, "review", [truth, source.path])
-    diagnostics.problem(*why_incomplete(found, "shown"))
+    diagnostics.problem(*why_incomplete(output, "shown"))
     diagnostics.note(*outdated([folder]))
-    stretch = dict(zip(found.frame.tolist(), found.stretch.tolist(), strict=True))
+    stretch = dict(zip(output.frame.tolist(), output.stretch.tolist(), strict=True))
     table, passes, occupied = _Table([*HEADER]), list[_Pass](), Occupied(list)
     if truth is not None:
-        table, passes = _of_truth(truth, source, found, stretch, occupied, diagnostics)
-    passes += _of_tracks(folder, found, method, stretch, occupied, table, truth is not None)
-    _find_beliefs(passes, folder, found, method)
+        table, passes = _of_truth(truth, source, output, stretch, occupied, diagnostics)
+    passes += _of_tracks(folder, output, method, stretch, occupied, table, truth is not None)
+    _find_beliefs(passes, folder, output, method)
     if mistakes:
-        _mark_mistakes(passes, found, method, [folder, folder.parent], truth)
+        _mark_mistakes(passes, output, method, [folder, folder.parent], truth)
     passes.sort(key=lambda p: (-p.wrong, p.state != "open", p.belief, p.rows[0].frame))
-    options = found.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
+    options = output.run.complete(LogOptions(), same_log=source.reader.has_topics).arguments()
     with open_log(source, **options) as recording:
-        check_same_log(recording, folder, found.run)
-        frames = _Frames(recording, found, spans, every, passes)
+        check_same_log(recording, folder, output.run)
+        frames = _Frames(recording, output, spans, every, passes)
         diagnostics.problem(*recording.diagnostics.problems)
     gt_name = own_file(source.location, TRUTH_FILE).name
-    unsure = [one for one in passes if one.state == "open"]
-    lowest = min((one.belief for one in unsure), default=None)
+    unsure = [seen for seen in passes if seen.state == "open"]
+    lowest = min((seen.belief for seen in unsure), default=None)
     counts = len(frames.numbers), len(passes), len(unsure), lowest
-    summary = Summary(found.name, out.name, _key(found, folder, truth), gt_name, *counts)
-    page = _page(found, summary, (start, following), truth, frames, table, passes, folder)
+    summary = Summary(output.name, out.name, _key(output, folder, truth), gt_name, *counts)
+    page = _page(output, summary, (start, following), truth, frames, table, passes, folder)
     head, tail = page.split(IMAGES)
     parts = [head, '"images":{']
     for k, (n, image) in enumerate(frames.images.items()):
-        parts += ["," * bool(k), f'"{n}":"', image, '"']
+        parts += ["," if k else "", f'"{n}":"', image, '"']
     write_page(out, *parts, tail)
     size, held = out.stat().st_size / 1e6, f"{len(frames.images)} of {len(frames.numbers)} frames"
     opened = f"{number_of(len(passes), 'pass', 'es')}, {len(unsure)} open"
@@ -200,7 +200,7 @@ def review(
 def _of_truth(
     path: Path,
     source: Source,
-    found: LogResults,
+    results: LogResults,
     stretch: Mapping[int, int],
     occupied: Occupied,
     diagnostics: Diagnostics,
@@ -208,17 +208,17 @@ def _of_truth(
     """The passes of a truth, and what else is in it. Raises SonarrecError if it has no positions,
     or cannot be the truth of this log."""
     truth = read_truth(path)
-    name = truth.name_of(possible_names(found.name, source.location.resolve()))
-    named = replace(found, name=name)
+    name = truth.name_of(possible_names(results.name, source.location.resolve()))
+    named = replace(results, name=name)
     matched = match_truth(truth, named)
-    assert found.fan is not None  # else nothing could be proposed
-    pixels = matched.pixels(found.fan)
+    assert results.fan is not None  # else nothing could be proposed
+    pixels = matched.pixels(results.fan)
     if pixels is None:
         raise SonarrecError(f"{path}: no positions (x_px,y_px or range_m,bearing_deg) to show")
     if (wrong := misfit(truth, named, matched)) is not None:
         raise SonarrecError(wrong)
     strangers = match_truth(truth, named, strangers=True)
-    others = strangers.pixels(found.fan)
+    others = strangers.pixels(results.fan)
     assert others is not None
     columns, cells = read_cells(path)
     replaced = [c for c in _REPLACED if c in columns]
@@ -226,8 +226,8 @@ def _of_truth(
     table = _Table(header + [c for c in ("visible", "track", "source") if c not in header])
     table.log = "" if truth.log is None else name
     if replaced:
-        of = ", ".join(replaced)
-        diagnostics.note(f"{path}: the page saves frame, x_px and y_px in place of {of}")
+        names = ", ".join(replaced)
+        diagnostics.note(f"{path}: the page saves frame, x_px and y_px in place of {names}")
 
     def cells_of(row: int, **values: str) -> list[str]:
         return [
@@ -240,15 +240,15 @@ def _of_truth(
         orientations = matched.orientation
     rows = defaultdict[tuple[int | None, str], list[_Row]](list)
     oriented = dict[tuple[int | None, int], float]()
-    sides = ((matched, pixels, found.landmarks.ids), (strangers, others, ()))
+    sides = ((matched, pixels, results.landmarks.ids), (strangers, others, ()))
     for match, positions, ids in sides:
-        slant_m, bearing_deg = polar_from_pixel(found.fan, *positions.T)
-        floor = plane_from_polar(ground_range(found.fan, slant_m), bearing_deg)
+        slant_m, bearing_deg = polar_from_pixel(results.fan, *positions.T)
+        floor = plane_from_polar(ground_range(results.fan, slant_m), bearing_deg)
         for n in np.argsort(match.frame_index, kind="stable").tolist():
             x, y = positions[n].tolist()
             if not np.isfinite(x + y):
                 continue  # it says that the frame was looked at
-            frame = int(found.frame[match.frame_index[n]])
+            frame = int(results.frame[match.frame_index[n]])
             landmark = ids[match.landmark_index[n]] if ids else None
             pixel = {"x_px": f"{x:.3f}", "y_px": f"{y:.3f}"} if "range_m" in columns else {}
             came = cells_of(int(match.row[n]), frame=str(frame), **pixel)
@@ -257,7 +257,7 @@ def _of_truth(
             if ids and np.isfinite(orientations[n]):
                 oriented[landmark, frame] = float(orientations[n])
             # What is no landmark is none of any ID.
-            for k in (landmark,) if landmark is not None else found.landmarks.ids:
+            for k in (landmark,) if landmark is not None else results.landmarks.ids:
                 occupied[frame, k].append(floor[n].tolist())
             kept.discard(int(match.row[n]))
     passes, column = [], table.header.index("source")
@@ -266,11 +266,11 @@ def _of_truth(
             proposed = {row.cells[column] for row in part} & {TRACKED, FILLED_IN}
             made = f"g{landmark}.{part[0].frame}.{part[0].x:.0f}"
             state = "open" if proposed else "accepted" if landmark is not None else "rejected"
-            one = _Pass(made, landmark, "truth", part, state)
-            one.orientations = {
+            seen = _Pass(made, landmark, "truth", part, state)
+            seen.orientations = {
                 f: oriented[landmark, f] for f, *_ in part if (landmark, f) in oriented
             }
-            passes.append(one)
+            passes.append(seen)
     saves_all = truth.key == "frame" and ("x_px" in columns or "range_m" not in columns)
     rest = sorted(kept)
     for n in rest if saves_all else ():
@@ -286,7 +286,7 @@ def _of_truth(
 
 def _of_tracks(
     folder: Path,
-    found: LogResults,
+    results: LogResults,
     method: str,
     stretch: Mapping[int, int],
     occupied: Occupied,
@@ -294,21 +294,21 @@ def _of_tracks(
     has_truth: bool,
 ) -> Iterator[_Pass]:
     """The passes of all tracks that declared an ID; with a truth those that it does not have."""
-    for track, rows in proposals(folder, found, method, occupied=occupied):
+    for track, rows in proposals(folder, results, method, occupied=occupied):
         made = []
         for row in rows:
-            of = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
-            x, y, visible = (float(of[c]) for c in ("x_px", "y_px", "visible"))
-            cells = [of.get(c, "") for c in table.header]
-            made.append(_Row(int(of["frame"]), x, y, visible, cells))
-        why = [track.left_out] * bool(track.left_out) + ["not in the truth"] * has_truth
+            named = dict(zip(HEADER, map(str, row), strict=True)) | {"log": table.log}
+            x, y, visible = (float(named[c]) for c in ("x_px", "y_px", "visible"))
+            cells = [named.get(c, "") for c in table.header]
+            made.append(_Row(int(named["frame"]), x, y, visible, cells))
+        why = [track.left_out, "not in the truth" if has_truth else ""]
         for part in _split(made, stretch):
             # Where the truth begins or ends a little later or sooner there is nothing to decide.
             if not has_truth or len(part) >= LEAST_DECLARED:
                 first, origin = f"t{track.track}.{part[0].frame}", f"track {track.track}"
-                one = _Pass(first, track.landmark, origin, part, left_out=bool(why))
-                one.why = "; ".join(why)
-                yield one
+                seen = _Pass(first, track.landmark, origin, part, left_out=any(why))
+                seen.why = "; ".join(filter(None, why))
+                yield seen
 
 
 def _split(
@@ -335,48 +335,48 @@ def _split(
     return passes
 
 
-def _find_beliefs(passes: Iterable[_Pass], folder: Path, found: LogResults, method: str) -> None:
+def _find_beliefs(passes: Iterable[_Pass], folder: Path, results: LogResults, method: str) -> None:
     """Find each pass's least belief, the lowest probability of its ID where the method declares an
     ID on it (0 if it never does), its corners, its orientation by frame, in deg, and the symbol
     that was read: the mean probability, 0 to 9, that each of 36 directions is lit, from the first
     sector's begin on."""
-    fan, landmarks = found.fan, found.landmarks
+    fan, landmarks = results.fan, results.landmarks
     assert fan is not None
     on_frame = defaultdict[int, list[tuple[_Pass, _Row]]](list)
     read = dict[str, FloatArray]()
     reach_px = landmarks.radius_m / fan.metres_per_pixel
-    for one in passes:
-        one.belief = 1.0
-        for row in one.rows:
-            on_frame[row.frame].append((one, row))
+    for seen in passes:
+        seen.belief = 1.0
+        for row in seen.rows:
+            on_frame[row.frame].append((seen, row))
     declared = set[str]()
     for frame, estimates in read_estimates(folder / "estimates.csv", method, landmarks, fan):
-        for one, row in on_frame.get(frame, ()):
+        for seen, row in on_frame.get(frame, ()):
             for e in estimates:
                 if dist((e.x_px, e.y_px), (row.x, row.y)) >= reach_px:
                     continue
-                if e.declared and one.landmark is not None:
-                    k = landmarks.ids.index(one.landmark)
-                    one.belief = min(one.belief, round(float(e.probabilities[k]), 3))
-                    declared.add(one.id)
+                if e.declared and seen.landmark is not None:
+                    k = landmarks.ids.index(seen.landmark)
+                    seen.belief = min(seen.belief, round(float(e.probabilities[k]), 3))
+                    declared.add(seen.id)
                 if e.corners is not None:
-                    one.corners[frame] = outline_of(e, fan, landmarks).round(1).tolist()
+                    seen.corners[frame] = outline_of(e, fan, landmarks).round(1).tolist()
                 if np.isfinite(e.orientation_deg):
-                    orientation = one.orientations.setdefault(frame, round(e.orientation_deg, 1))
+                    orientation = seen.orientations.setdefault(frame, round(e.orientation_deg, 1))
                     if e.read:
                         lit = np.frombuffer(e.read.encode(), np.uint8) - ord("0")
                         begin = round((90 - e.bearing_deg - orientation) / 360 * len(lit))
-                        sums = read.setdefault(one.id, np.zeros(1 + len(lit)))
+                        sums = read.setdefault(seen.id, np.zeros(1 + len(lit)))
                         sums += [1, *np.roll(lit, begin)]
-    for one in passes:
-        one.belief *= one.id in declared
-        if one.id in read:
-            one.read = (read[one.id][1:] / read[one.id][0]).round(1).tolist()
+    for seen in passes:
+        seen.belief *= seen.id in declared
+        if seen.id in read:
+            seen.read = (read[seen.id][1:] / read[seen.id][0]).round(1).tolist()
 
 
 def _mark_mistakes(
     passes: Sequence[_Pass],
-    found: LogResults,
+    output: LogResults,
     method: str,
     results: Iterable[Path],
     truth: Path | None,
@@ -398,18 +398,18 @@ def _mark_mistakes(
     table = read_table(tables[-1], kinds | {"at_start": "flag"}, header, ",".join(header))
     at_start = table.get("at_start", np.zeros(len(table["log"]), bool))
     for n in range(len(table["log"])):
-        of = str(table["log"][n]), str(table["method"][n])
-        if of != (found.name, method) or at_start[n]:  # no track declares where it begins
+        series = str(table["log"][n]), str(table["method"][n])
+        if series != (output.name, method) or at_start[n]:  # no track declares where it begins
             continue
         first, last, frames, landmark = (int(table[c][n]) for c in kinds if kinds[c] == "whole")
         ids = {landmark, int(np.nan_to_num(table["other"][n], nan=landmark))}
         why = f"{table['kind'][n]} ID.{landmark} in frames {first}-{last}"
-        for one in passes:
-            if one.landmark in ids and any(first <= row.frame <= last for row in one.rows):
-                one.first_wrong = first if one.wrong == 0 else one.first_wrong
-                one.wrong += frames
-                one.state = "open"
-                one.why = "; ".join(filter(None, (one.why, why)))
+        for current in passes:
+            if current.landmark in ids and any(first <= row.frame <= last for row in current.rows):
+                current.first_wrong = first if current.wrong == 0 else current.first_wrong
+                current.wrong += frames
+                current.state = "open"
+                current.why = "; ".join(filter(None, (current.why, why)))
 
 
 # The frames
@@ -425,36 +425,36 @@ class _Frames:
     def __init__(
         self,
         log: Log,
-        found: LogResults,
+        results: LogResults,
         spans: Sequence[tuple[int, int | None]],
         every: int,
         passes: Sequence[_Pass],
     ) -> None:
         """Read the log, in one pass. Raises UsageError if no frame is chosen."""
         wanted = {
-            n for n in found.frame.tolist() if n % every == 0 and (not spans or _in(n, spans))
+            n for n in results.frame.tolist() if n % every == 0 and (not spans or _in(n, spans))
         }
         if not wanted:
             raise UsageError(f"{log.path}: none of its frames is chosen; see --frames and --every")
         self.images: dict[int, str] = {}
         held = 0
-        rows = sum(len(one.rows) for one in passes)
-        room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(found.frame))
-        seen, step, span = set[int](), 1, found.run.span() or (0, None)
+        rows = sum(len(current.rows) for current in passes)
+        room = max(0, MOST_BYTES - ROW_BYTES * rows - POSE_BYTES * len(results.frame))
+        seen, step, span = set[int](), 1, results.run.span() or (0, None)
         rank = {n: k for k, n in enumerate(sorted(wanted))}
         passed_over = {-1}  # not empty, since it is filled once the first frame is there
         to_add = defaultdict[int, list[tuple[_Pass, _Row]]](list)
-        sums = {one.id: np.zeros((PICTURE_PX, PICTURE_PX), np.float32) for one in passes}
-        for one in passes:
-            shown = [row for row in one.rows if row.frame in one.orientations]
-            best = max(one.rows, key=lambda row: row.visible)
+        sums = {current.id: np.zeros((PICTURE_PX, PICTURE_PX), np.float32) for current in passes}
+        for current in passes:
+            shown = [row for row in current.rows if row.frame in current.orientations]
+            best = max(current.rows, key=lambda row: row.visible)
             for row in shown[:: -(-len(shown) // MOST_ADDED)] if shown else [best]:
-                to_add[row.frame].append((one, row))
+                to_add[row.frame].append((current, row))
         for frame in log.within(span, passed_over):
             seen.add(frame.index)
-            for one, row in to_add.get(frame.index, ()):
-                orientation = one.orientations.get(row.frame, 0)
-                sums[one.id] += _upright(frame, row, orientation, found.landmarks.radius_m)
+            for current, row in to_add.get(frame.index, ()):
+                orientation = current.orientations.get(row.frame, 0)
+                sums[current.id] += _upright(frame, row, orientation, results.landmarks.radius_m)
             if frame.index not in wanted:
                 continue
             if not self.images:
@@ -464,7 +464,7 @@ class _Frames:
                 while sizes[quality] / step > 1.1 * max(room, 1) and step < len(wanted):
                     step *= 2
                 kept = {n for n in wanted if rank[n] % step == 0}
-                passed_over |= {*found.frame.tolist()} - kept - {*to_add}
+                passed_over |= {*results.frame.tolist()} - kept - {*to_add}
             if rank[frame.index] % step == 0:
                 self.images[frame.index] = _as_jpeg(frame.image, quality)
                 held += len(self.images[frame.index])
@@ -472,11 +472,11 @@ class _Frames:
                 step *= 2
                 self.images = {n: uri for n, uri in self.images.items() if rank[n] % step == 0}
                 held = sum(map(len, self.images.values()))
-        for one in passes:
-            low, high = np.percentile(sums[one.id], (1, 99))
-            levels = np.clip(255 * (sums[one.id] - low) / max(high - low, 1), 0, 255)
-            one.picture = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
-        seen |= {*found.frame.tolist()}  # the run could read those that were passed over
+        for current in passes:
+            low, high = np.percentile(sums[current.id], (1, 99))
+            levels = np.clip(255 * (sums[current.id] - low) / max(high - low, 1), 0, 255)
+            current.picture = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
+        seen |= {*results.frame.tolist()}  # the run could read those that were passed over
         last = log.frame_count or max(seen) + 1
         self.numbers = range(span[0], min(last, span[1] or last))
         self.damaged = sorted({*self.numbers} - {*seen})
@@ -512,9 +512,9 @@ def _upright(frame: Frame, row: _Row, orientation_deg: float, radius_m: float) -
 # The page
 
 
-def _key(found: LogResults, folder: Path, truth: Path | None) -> str:
+def _key(results: LogResults, folder: Path, truth: Path | None) -> str:
     """What the browser keeps the decisions on a log and a truth under."""
-    of_log = found.run.input.sha256 or str(folder.resolve())
+    of_log = results.run.input.sha256 or str(folder.resolve())
     of_truth = "" if truth is None else hashlib.sha256(truth.read_bytes()).hexdigest()
     return hashlib.sha256(f"{of_log} {of_truth}".encode()).hexdigest()
 
@@ -534,7 +534,7 @@ def _poses(folder: Path) -> dict[int, list[float]]:
 
 
 def _page(
-    found: LogResults,
+    results: LogResults,
     summary: Summary,
     links: tuple[str, str],
     truth: Path | None,
@@ -545,12 +545,12 @@ def _page(
 ) -> str:
     """The whole page as HTML, with IMAGES where these go. links: to the start page and to the next
     log, or empty."""
-    fan, landmarks = found.fan, found.landmarks
+    fan, landmarks = results.fan, results.landmarks
     assert fan is not None
     names = [each.name for each in fields(_Pass)]
     made = [
-        {name: getattr(one, name) for name in names} | {"rows": [row._asdict() for row in one.rows]}
-        for one in passes
+        {name: getattr(p, name) for name in names} | {"rows": [row._asdict() for row in p.rows]}
+        for p in passes
     ]
     data = {
         "key": summary.key,
@@ -575,7 +575,7 @@ def _page(
         ("viewer.js", "review.js"),
         data,
         version=VERSION,
-        name=found.name,
+        name=results.name,
         gt_name=printable(summary.gt_name),
         links=links,
         truth=None if truth is None else printable(truth.name),

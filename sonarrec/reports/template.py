@@ -14,8 +14,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 def fill(template: str, scripts: tuple[str, ...], data: Any, **values: Any) -> str:
     """A template of this folder as HTML. scripts: files that make up `script`. data: what they
     read, as the JSON `data`."""
-    here = files("sonarrec.reports")
-    script = "".join((here / name).read_text(encoding="utf-8") for name in scripts)
+    folder = files("sonarrec.reports")
+    script = "".join((folder / name).read_text(encoding="utf-8") for name in scripts)
     environment = Environment(
         loader=PackageLoader("sonarrec.reports", "."),
         autoescape=True,

@@ -197,13 +197,13 @@ def chosen(methods: Iterable[str], wanted: Sequence[str], where: str | Path) -> 
 
     where: what holds them, for the message. Raises UsageError if one is missing.
     """
-    there = in_order(methods)
+    known = in_order(methods)
     for method in wanted:
-        if method not in there:
+        if method not in known:
             raise UsageError(
-                printable(f"{where}: no method {method!r}; there is {', '.join(there)}")
+                printable(f"{where}: no method {method!r}; there is {', '.join(known)}")
             )
-    return tuple(dict.fromkeys(wanted)) or there
+    return tuple(dict.fromkeys(wanted)) or known
 
 
 def leading(methods: Iterable[str]) -> str:

@@ -71,13 +71,13 @@ def why_outdated(run: Mapping[str, Any]) -> str:
 
 def outdated(folders: Sequence[Path]) -> list[str]:
     """A line if this program may not give the results in some of these folders again."""
-    found = []
+    changed = []
     for folder in folders:
         with suppress(SonarrecError):  # reported where its tables are read
             if is_file(path := folder / "run.toml") and (why := why_outdated(read_toml(path))):
-                found.append((folder, why))
-    if not found:
+                changed.append((folder, why))
+    if not changed:
         return []
-    (first, why), *more = found
+    (first, why), *more = changed
     others = f" and {number_of(len(more), 'more folder')}" if more else ""
     return [f"{first}{others}: {why}; `sonarrec run` of the log replaces them"]

@@ -135,12 +135,12 @@ def find_logs(results: Path) -> list[Path]:
         )
     logs = {path.name: path for path in results.iterdir() if _holds_frames(path)}
     names = (n for n in logs if not (n.endswith(PART) and n.removesuffix(PART) in logs))
-    if not (found := sorted((logs[name] for name in names), key=natural_order)):
+    if not (folders := sorted((logs[name] for name in names), key=natural_order)):
         raise MissingError(
             f"{results}: no results here (no frames.csv, nor a folder that holds one); "
             f"give the folder that `sonarrec run LOG` wrote{of_log}"
         )
-    return found
+    return folders
 
 
 def _holds_frames(folder: Path) -> bool:
@@ -314,13 +314,13 @@ def declared_by_frame(
     frames = {name: column[order] for name, column in frames.items()}
     times = frames.get("timestamp_ns", np.zeros_like(order))
     rows = zip(frames["frame"].tolist(), times.tolist(), stretches_of(frames).tolist(), strict=True)
-    path, of = folder / "estimates.csv", (run.landmark_set(landmarks), run.fan(sonar))
-    declared = _by_frame(path, *of, lambda table: table["declared"], False)
-    found, estimates = next(declared, (-1, ()))
+    path, geometry = folder / "estimates.csv", (run.landmark_set(landmarks), run.fan(sonar))
+    declared = _by_frame(path, *geometry, lambda table: table["declared"], False)
+    current, estimates = next(declared, (-1, ()))
     for frame, time, stretch in rows:
-        while found < frame:  # it is not listed
-            found, estimates = next(declared, (sys.maxsize, ()))
-        yield frame, time, stretch, estimates if found == frame else ()
+        while current < frame:  # it is not listed
+            current, estimates = next(declared, (sys.maxsize, ()))
+        yield frame, time, stretch, estimates if current == frame else ()
 
 
 def _by_frame(
@@ -331,7 +331,7 @@ def _by_frame(
     placed: bool,
 ) -> Iterator[tuple[int, tuple[Estimate, ...]]]:
     """(frame, its estimates) of the rows wanted. placed: each must have a position."""
-    last, found = -1, list[Estimate]()
+    last, estimates = -1, list[Estimate]()
     for first, table in estimate_tables(path, landmarks, ROWS):
         rows = np.flatnonzero(np.asarray(wanted(table)))
         for row, frame, estimate in _estimates_in(table, rows, landmarks, fan):
@@ -342,13 +342,13 @@ def _by_frame(
                 fault = f"frame {frame} after frame {last}; sort the table by frame"
             if fault:
                 raise SonarrecError(f"{path} line {line_number(path, first + row)}: {fault}")
-            if frame > last and found:
-                yield last, tuple(found)
-                found = []
+            if frame > last and estimates:
+                yield last, tuple(estimates)
+                estimates = []
             last = frame
-            found.append(estimate)
-    if found:
-        yield last, tuple(found)
+            estimates.append(estimate)
+    if estimates:
+        yield last, tuple(estimates)
 
 
 def _estimates_in(
@@ -426,11 +426,11 @@ class CountedOnce:
         self._action, self._diagnostics = action, diagnostics
         self._counted: dict[Recording, list[Path]] = defaultdict(list)
 
-    def add(self, folder: Path, of: Recording) -> bool:
-        """Whether these results count. of: from `recording`."""
-        first = next((one for one in self._counted[of] if _share_frames(one, folder)), None)
+    def add(self, folder: Path, log: Recording) -> bool:
+        """Whether these results count. log: from `recording`."""
+        first = next((other for other in self._counted[log] if _share_frames(other, folder)), None)
         if first is None:
-            self._counted[of].append(folder)
+            self._counted[log].append(folder)
             return True
         line = f"{folder}: the same log as {first}, which counts once"
         if _digest(folder) == _digest(first):
@@ -440,10 +440,10 @@ class CountedOnce:
         return False
 
 
-def _share_frames(one: Path, other: Path) -> bool:
+def _share_frames(folder: Path, other: Path) -> bool:
     """Whether two results have a frame in common; not if they cannot be read."""
     with suppress(SonarrecError):
-        return bool(np.intersect1d(*(read_frames(f)["frame"] for f in (one, other))).size)
+        return bool(np.intersect1d(*(read_frames(f)["frame"] for f in (folder, other))).size)
     return False
 
 
@@ -496,16 +496,16 @@ def check_one_log(old: Path, before: RunFile, new: Path, after: RunFile) -> str 
     """
     a, b = before.input.recording, after.input.recording
     if a is None or b is None:
-        without = " and ".join(str(f) for f, of in ((old, a), (new, b)) if of is None)
+        without = " and ".join(str(f) for f, log in ((old, a), (new, b)) if log is None)
         return f"{without}: run.toml does not identify the log; frames are matched by number"
     later = after.input
     if a[1] != b[1] or not before.input.is_of(later.bytes, later.sha256):
-        of = " and ".join(
+        two = " and ".join(
             f"{run.input.path or run.input.name}{f', topic {topic}' if topic else ''}"
             for run, (_, topic) in ((before, a), (after, b))
         )
         raise SonarrecError(
-            f"{old} and {new}: results of different logs ({of}), or of one log whose files changed"
+            f"{old} and {new}: results of different logs ({two}), or of one log whose files changed"
         )
     return None
 

@@ -195,9 +195,9 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
         name = f"{prefix}{key}"
         if name == "config":
             several = isinstance(value, list)
-            for n, one in enumerate(value if several else [value]):
-                preset = f"{one.get('preset', n)}: " if several else ""
-                yield from flat(one, preset)
+            for n, settings in enumerate(value if several else [value]):
+                preset = f"{settings.get('preset', n)}: " if several else ""
+                yield from flat(settings, preset)
         elif isinstance(value, Mapping):
             yield from flat(value, f"{name}.")
         else:

@@ -203,10 +203,10 @@ def read_sightings(
         return sightings_in(path)
     from sonarrec.results.read import declared_by_frame  # imports pandas, which no run needs
 
-    sightings, found = Sightings(run.landmark_set(landmarks)), list[Sighting]()
+    sightings, ended = Sightings(run.landmark_set(landmarks)), list[Sighting]()
     for frame, timestamp_ns, stretch, estimates in declared_by_frame(folder, landmarks, sonar):
-        found += sightings.add(frame, timestamp_ns, estimates, stretch)
-    return iter(found + sightings.close_all())
+        ended += sightings.add(frame, timestamp_ns, estimates, stretch)
+    return iter(ended + sightings.close_all())
 
 
 def sightings_in(path: Path) -> Iterator[Sighting]:

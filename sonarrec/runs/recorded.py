@@ -16,12 +16,12 @@ def recorded_at(folder: Path, source: Input) -> Source:
         raise SonarrecError("run.toml does not say where the log is")
     if is_url(source.path):
         raise SonarrecError(f"its log is on a server, {source.path}")
-    found = _log_at(source.path, folder, source.place)
-    if source.bytes not in (None, size := _size(found)):
+    log = _log_at(source.path, folder, source.place)
+    if source.bytes not in (None, size := _size(log)):
         raise SonarrecError(
-            f"{found.path} has changed since the run (it had {source.bytes} bytes and has {size})"
+            f"{log.path} has changed since the run (it had {source.bytes} bytes and has {size})"
         )
-    return found
+    return log
 
 
 def _log_at(path: str, folder: Path, relative: str | None) -> Source:

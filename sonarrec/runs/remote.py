@@ -55,12 +55,12 @@ def logs_at(url: str, *, recursive: bool = False) -> list[str]:
         fs, path = _opened(url)
         front = url.rstrip("/").removesuffix(path.rstrip("/"))
         if set(path) & set("*?["):
-            found = [p for p in fs.glob(path) if names_a_log(_name(p))]
+            paths = [p for p in fs.glob(path) if names_a_log(_name(p))]
         else:
-            found = [*_below(fs, path, recursive)]
-    if not found:
+            paths = [*_below(fs, path, recursive)]
+    if not paths:
         raise MissingError(f"{redact_url(url)}: no log there")
-    return [front + p for p in sorted(found, key=natural_order)]
+    return [front + p for p in sorted(paths, key=natural_order)]
 
 
 def _below(fs: Any, top: str, recursive: bool) -> Iterator[str]:
@@ -131,8 +131,8 @@ def upload(source: Path, url: str) -> None:
                 fs.rm(path, recursive=True)
             if source.is_dir():
                 fs.makedirs(path, exist_ok=True)
-            for one in sorted(came, key=lambda name: name.endswith("run.toml")):  # that last
-                fs.mv(one, path + one[len(part) :])
+            for file in sorted(came, key=lambda name: name.endswith("run.toml")):  # that last
+                fs.mv(file, path + file[len(part) :])
             with suppress(FileNotFoundError):  # where folders exist by themselves
                 fs.rm(part, recursive=True)
         except BaseException:  # Ctrl-C as well

@@ -136,8 +136,8 @@ def configs_of(presets: Presets) -> list[Config]:
     Raises UsageError if there is none, or if two have one name: results are named by it.
     """
     several = [presets] if isinstance(presets, str | Config) else presets
-    configs = [config_of(one) if isinstance(one, str) else one for one in several]
-    names = [one.preset for one in configs]
+    configs = [config_of(preset) if isinstance(preset, str) else preset for preset in several]
+    names = [config.preset for config in configs]
     if not names:
         raise UsageError("preset: none is given; leave it out for default")
     if len(set(names)) < len(names):

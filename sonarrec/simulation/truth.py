@@ -44,7 +44,7 @@ TRUTH_COLUMNS = ("frame", *Truth._fields[:7])  # of gt.csv
 
 def truth_rows(frame: int, truth: Iterable[Truth]) -> Iterator[list[object]]:
     """The rows of gt.csv for one frame."""
-    return ([frame, *one[:7]] for one in truth)
+    return ([frame, *item[:7]] for item in truth)
 
 
 def visible_share(fan: Fan, pose: Pose, item: Placed, radius_m: float, plane: Plane) -> float:

@@ -160,13 +160,13 @@ def mistaken_columns(
     """(name, the known one that it is nearest to) of columns that are ignored, if that is one of
     the wanted, such as x for x_px. The name with "" if it is near none."""
     near = [(name, _nearest(name, known)) for name in others if name not in known]
-    return [(name, one) for name, one in near if not one or one in wanted]
+    return [(name, nearest) for name, nearest in near if not nearest or nearest in wanted]
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
     """The known name of a column that another name may stand for; empty: none."""
     plain = name.strip().lower()
-    prefixed = [one for one in known if plain and (one.startswith(plain) or plain.startswith(one))]
+    prefixed = [n for n in known if plain and (n.startswith(plain) or plain.startswith(n))]
     return next(iter(prefixed or get_close_matches(plain, known, 1, _SIMILARITY)), "")
 
 
@@ -257,13 +257,13 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
             bad &= ~blank
     if bad.any():
         row = int(np.argmax(bad))
-        found = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
+        value = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
         if kind in ("place", "blank or place") and np.isfinite(values[row]):
             must += " from -1e9 to 1e9"
         if str(column.name).endswith("_ns") and kind == "whole" and values[row] % 1 > 0:
             must += " of ns (1 s is 1000000000)"
         line = line_number(path, first + row)
-        raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {found}")
+        raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {value}")
     if kind in _TEXTS:
         return values
     if kind == "flag":

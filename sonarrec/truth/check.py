@@ -89,10 +89,10 @@ def report_other_logs(
     others = [str(name) for name in named if composed(name) not in known]
     if others:
         names = sorted(set(others))
-        listed = ", ".join(names[:5]) + f" and {len(names) - 5} more" * (len(names) > 5)
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
         diagnostics.problem(
             f"{table.path}: {len(others)} of {len(table.keys)} rows name logs that were not "
-            f"given ({listed}); {consequence}"
+            f"given ({', '.join(names[:5])}{more}); {consequence}"
         )
 
 

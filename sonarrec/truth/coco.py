@@ -150,34 +150,34 @@ def write_coco(
     """
     check_new(out)
     names = {i: f"ID.{i}" for i in landmarks.ids}
-    if any(one.landmark == NONE for one in objects):
+    if any(item.landmark == NONE for item in objects):
         names[NONE] = "none"
     numbers = {i: n for n, i in enumerate(names, 1)}
     tracks, annotations = dict[tuple[str, int], int](), list[dict[str, object]]()
-    centres = np.array([one[2:4] for one in objects], float).reshape(-1, 2)
+    centres = np.array([item[2:4] for item in objects], float).reshape(-1, 2)
     of_discs = polar_from_pixel(pictures.fan, *centres.T)
     shares = share_in_image(pictures.fan, *of_discs, landmarks.radius_m).tolist()
-    for one, share in zip(objects, shares, strict=True):
-        points = polar_from_pixel(pictures.fan, *np.vstack([one[2:4], one.outline]).T)
+    for item, share in zip(objects, shares, strict=True):
+        points = polar_from_pixel(pictures.fan, *np.vstack([item[2:4], item.outline]).T)
         x, y = pictures.pixel(*points)
         half = np.abs([x - x[0], y - y[0]]).max(axis=1)
         corner = np.array([x[0], y[0]]) + HALF_A_PIXEL - half
-        attributes = {"visible": round(share, 3)} | one.attributes
+        attributes = {"visible": round(share, 3)} | item.attributes
         attributes["occluded"] = attributes["visible"] < share - SLACK
-        if track := one.attributes.get("track"):
+        if track := item.attributes.get("track"):
             # CVAT gives a track one label, and makes it of keyframes.
-            number = tracks.setdefault((track, one.landmark), len(tracks) + 1)
+            number = tracks.setdefault((track, item.landmark), len(tracks) + 1)
             attributes |= {"track_id": number, "keyframe": True}
         annotations.append(
             {
                 "id": len(annotations) + 1,
-                "image_id": one.frame + 1,
-                "category_id": numbers[one.landmark],
+                "image_id": item.frame + 1,
+                "category_id": numbers[item.landmark],
                 "bbox": np.concatenate([corner, 2 * half]).round(4).tolist(),
                 "area": round(4 * half.prod(), 2),
                 "segmentation": [],
                 "iscrowd": 0,
-                "score": one.score,
+                "score": item.score,
                 "attributes": attributes,
             }
         )

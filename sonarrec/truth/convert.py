@@ -100,33 +100,33 @@ def convert(
         ) from None
     diagnostics = Diagnostics()
     images = {image.id: image for image in coco.images}
-    names = {one.id: one.name for one in coco.categories}
+    names = {category.id: category.name for category in coco.categories}
     # (image, label, x, y, visible, texts of ATTRIBUTES); the annotations that have no centre
-    found, without = [], []
-    for n, one in enumerate(coco.annotations):
-        if one.image_id not in images or one.category_id not in names:
+    shapes, without = [], []
+    for n, mark in enumerate(coco.annotations):
+        if mark.image_id not in images or mark.category_id not in names:
             raise SonarrecError(f"{source}: annotations[{n}] names an image or category not listed")
-        is_mask = isinstance(one.segmentation, dict)  # of runs, which tools flag as a crowd too
-        centre = None if one.iscrowd and not is_mask else _centre(one)
+        is_mask = isinstance(mark.segmentation, dict)  # of runs, which tools flag as a crowd too
+        centre = None if mark.iscrowd and not is_mask else _centre(mark)
         if centre is None:
             without.append(n)
         else:
-            found.append(
-                (images[one.image_id], names[one.category_id], *centre, _attribute_cells(one))
+            shapes.append(
+                (images[mark.image_id], names[mark.category_id], *centre, _attribute_cells(mark))
             )
     if without:
         more = f"such as annotations[{without[0]}]"
         diagnostics.problem(
             f"{number_of(len(without), 'annotation')} without one centre, {more}, left out"
         )
-    within_one = [max(abs(one[2]), abs(one[3])) <= 1 for one in found]
-    if 2 * sum(within_one) > len(found):
+    within_one = [max(abs(shape[2]), abs(shape[3])) <= 1 for shape in shapes]
+    if 2 * sum(within_one) > len(shapes):
         raise SonarrecError(
-            f"{source}: {sum(within_one)} of {len(found)} shapes lie within the first pixel, as if "
-            "given in shares of the image; export them in pixels"
+            f"{source}: {sum(within_one)} of {len(shapes)} shapes lie within the first pixel, as "
+            "if given in shares of the image; export them in pixels"
         )
     ids = _landmark_ids(
-        Counter(label for _, label, *_ in found), labels or {}, landmarks, diagnostics
+        Counter(label for _, label, *_ in shapes), labels or {}, landmarks, diagnostics
     )
     twice = [name for name, n in Counter(image.file_name for image in coco.images).items() if n > 1]
     if twice:
@@ -144,20 +144,20 @@ def convert(
             f"{source}: images before the log's first frame, or two of one frame ({rule}); give "
             "--log, another --first-frame, or annotations of one log only"
         )
-    if missing := {image.file_name for image, *_ in found} - set(frames):
+    if missing := {image.file_name for image, *_ in shapes} - set(frames):
         diagnostics.problem(
             f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}"
         )
-    used = [one for one in found if one[1] in ids and one[0].file_name in frames]
+    used = [shape for shape in shapes if shape[1] in ids and shape[0].file_name in frames]
     if diagnostics.problems and not used:
         raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
-    x, y, visible = np.array([one[2:5] for one in used], float).reshape(-1, 3).T
+    x, y, visible = np.array([shape[2:5] for shape in used], float).reshape(-1, 3).T
     if pictures and used:
         size, *others = {(image.width, image.height) for image, *_ in used}
         of_discs = pictures.polar((None, None) if others else size, x, y)
         x, y = pixel_from_polar(pictures.fan, *of_discs)
         visible = np.minimum(visible, share_in_image(pictures.fan, *of_discs, landmarks.radius_m))
-    extra = [c for c in ATTRIBUTES[1:] if any(one[-1][c] for one in used)]
+    extra = [c for c in ATTRIBUTES[1:] if any(shape[-1][c] for shape in used)]
     rows = {
         (
             *(frames[image.file_name], ids[label], f"{x[n]:.2f}", f"{y[n]:.2f}"),
@@ -174,9 +174,9 @@ def convert(
     return {name: counts[i] for i, name in names_of_ids.items() if counts[i]}, diagnostics
 
 
-def _attribute_cells(one: _Annotation) -> dict[str, str]:
+def _attribute_cells(annotation: _Annotation) -> dict[str, str]:
     """The text of each of ATTRIBUTES; empty if not stated, or invalid. CVAT renumbers tracks."""
-    given = (one.attributes or {}).items()
+    given = (annotation.attributes or {}).items()
     stated = {str(k).lower(): str(v).strip() for k, v in given if v is not None}
     stated.setdefault("track", stated.get("track_id", ""))
     for column, least, most in (("visible", 0, 1), ("orientation_deg", -LARGEST, LARGEST)):
@@ -188,17 +188,17 @@ def _attribute_cells(one: _Annotation) -> dict[str, str]:
     return {column: stated.get(column, "") for column in ATTRIBUTES}
 
 
-def _centre(one: _Annotation) -> tuple[float, float, float] | None:
+def _centre(annotation: _Annotation) -> tuple[float, float, float] | None:
     """(x, y, visible) of one annotation; None if it has no one position."""
-    stated = {str(k).lower(): v for k, v in (one.attributes or {}).items()}
+    stated = {str(k).lower(): v for k, v in (annotation.attributes or {}).items()}
     visible = PARTLY_HIDDEN if stated.get("occluded") in (True, 1, "true") else 1.0
-    k = one.keypoints or []
+    k = annotation.keypoints or []
     labelled = [point for point in zip(k[::3], k[1::3], k[2::3], strict=False) if point[2] > 0]
     if len(labelled) == 1:
         # A keypoint names a pixel; boxes and polygons run along the edges between pixels.
         x, y, flag = labelled[0]
         return x, y, min(visible, PARTLY_HIDDEN if flag == 1 else 1.0)
-    outlines = one.segmentation
+    outlines = annotation.segmentation
     if isinstance(outlines, list) and len(outlines) == 1 and len(outlines[0]) >= 6:
         # The centre of the area, since a person sets the points of an outline unevenly.
         outline = np.array(outlines[0][: len(outlines[0]) // 2 * 2], np.float64).reshape(-1, 2)
@@ -207,9 +207,9 @@ def _centre(one: _Annotation) -> tuple[float, float, float] | None:
         if area["m00"]:
             middle = corner + np.array([area["m10"], area["m01"]]) / area["m00"] - HALF_A_PIXEL
             return float(middle[0]), float(middle[1]), visible
-    if len(one.bbox) != 4 or not any(one.bbox):  # as is written where there is none
+    if len(annotation.bbox) != 4 or not any(annotation.bbox):  # as is written where there is none
         return None
-    left, top, width, height = one.bbox
+    left, top, width, height = annotation.bbox
     return left + width / 2 - HALF_A_PIXEL, top + height / 2 - HALF_A_PIXEL, visible
 
 
@@ -269,10 +269,10 @@ def _frames_of(
     if not of_log.keys() & stems.values():
         stems = {name: _HASH.sub("", stem) for name, stem in stems.items()}
     if in_log:
-        found = {name: of_log[stem] for name, stem in stems.items() if stem in of_log}
-        if images and not found:
+        frames = {name: of_log[stem] for name, stem in stems.items() if stem in of_log}
+        if images and not frames:
             raise SonarrecError(f"no image of the log is called {images[0]!r}; give its own log")
-        return found, "frames by image name in the log"
+        return frames, "frames by image name in the log"
     ends = {name: _LAST_NUMBER.search(stem) for name, stem in stems.items()}
     numbers = {name: int(end[0]) - first_frame for name, end in ends.items() if end}
     if len(numbers) == len(stems):
@@ -325,5 +325,5 @@ def truth_to_coco(
             objects.append(ImageObject(frame, landmark, x, y, outline, attributes))
     report_other_logs(diagnostics, table, [name], "they are left out")
     diagnostics.problem(*log.diagnostics.problems)
-    objects.sort(key=lambda one: one[:4])
+    objects.sort(key=lambda item: item[:4])
     return write_coco(out, landmarks, pictures, index.tolist(), objects), diagnostics

@@ -81,17 +81,17 @@ def match_truth(
     objects that are no landmark instead; their landmark_index is the number of IDs.
     Raises SonarrecError on an ID outside the landmark set, or if times cannot be compared.
     """
-    mine = table.rows_of(log.name, strangers=strangers)
+    rows = table.rows_of(log.name, strangers=strangers)
     ids = np.asarray(log.landmarks.ids)
-    known = np.isin(table.landmark[mine], [*ids, NONE])
+    known = np.isin(table.landmark[rows], [*ids, NONE])
     if not known.all():
-        bad = int(mine[np.argmin(known)])
+        bad = int(rows[np.argmin(known)])
         raise SonarrecError(
             f"{table.path} line {line_number(table.path, bad)}: landmark {table.landmark[bad]} "
             f"is not in the set {log.landmarks.name!r} ({', '.join(map(str, ids))}) used for "
             f"{log.name}; write its IDs, not track numbers, or name another set with --landmarks"
         )
-    keys, tolerance_ns, position = table.keys[mine], None, None
+    keys, tolerance_ns, position = table.keys[rows], None, None
     if table.key == "frame":
         index = np.minimum(np.searchsorted(log.frame, keys), len(log.frame) - 1)
         matched = kept = log.frame[index] == keys
@@ -105,7 +105,7 @@ def match_truth(
         index, matched, kept = match_times(log.timestamp_ns, keys, tolerance_s)
     if table.position is not None:
         position = plane_position(table.position, log.fan)
-    row = mine[kept]
+    row = rows[kept]
     landmark_index = (
         np.full(len(row), len(ids)) if strangers else log.landmarks.indices(table.landmark[row])
     )
@@ -178,9 +178,9 @@ def wrong_unit(timestamp_ns: IntArray, times: IntArray) -> str:
 
     if len(timestamp_ns) < 2 or not len(times):
         return ""
-    found = {unit: frames(factor) for unit, factor in UNITS.items()}
-    best = max(found, key=lambda unit: found[unit])
-    enough = found[best] >= max(FEWEST_FRAMES, CLEARLY_MORE * frames(1))
+    counts = {unit: frames(factor) for unit, factor in UNITS.items()}
+    best = max(counts, key=lambda unit: counts[unit])
+    enough = counts[best] >= max(FEWEST_FRAMES, CLEARLY_MORE * frames(1))
     return best if enough else ""
 
 

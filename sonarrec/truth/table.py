@@ -75,7 +75,7 @@ class TruthTable:
         wanted = (self.landmark == NONE) == strangers
         if self.log is None:
             return np.flatnonzero(wanted)
-        ours = [composed(one) == composed(name) for one in self.log.categories]
+        ours = [composed(text) == composed(name) for text in self.log.categories]
         return np.flatnonzero(wanted & np.isin(self.log.codes, np.flatnonzero(ours)))
 
     def name_of(self, names: Sequence[str]) -> str:

@@ -129,8 +129,8 @@ class BagFolder(Recording):
         """The bag's number for a channel of a part; a new number for a new channel. A part may lack
         the definition of a channel that other parts have."""
         for number, other in self.channels.items():
-            one, two = ((c.topic, c.schema, c.message_encoding) for c in (channel, other))
-            if one == two and (not other.definition or not channel.definition or channel == other):
+            new, old = ((c.topic, c.schema, c.message_encoding) for c in (channel, other))
+            if new == old and (not other.definition or not channel.definition or channel == other):
                 self.channels[number] = channel if channel.definition else other
                 return number
         self.channels[len(self.channels)] = channel

@@ -168,16 +168,16 @@ def _pieces(path: Path) -> Iterator[bytes]:
     UnusableError after all that can be read."""
     file = FileBytes(path)
     try:
-        found = _find_dat(file, path, 0)
-        while found is not None:  # more than one if files were joined
-            method, position = found
+        entry = _find_dat(file, path, 0)
+        while entry is not None:  # more than one if files were joined
+            method, position = entry
             inflater = zlib.decompressobj(-zlib.MAX_WBITS)
             while not inflater.eof and (piece := file.read(position, _PIECE)):
                 position += len(piece)
                 yield inflater.decompress(piece) if method == _DEFLATED else piece
             if method == _DEFLATED and not inflater.eof:
                 raise UnusableError("its end is missing")
-            found = _find_dat(file, path, position - len(inflater.unused_data))
+            entry = _find_dat(file, path, position - len(inflater.unused_data))
     except zlib.error:
         raise UnusableError("its compressed contents are damaged") from None
     finally:

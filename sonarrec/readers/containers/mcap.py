@@ -225,11 +225,11 @@ class McapRecording(Recording):
         footer, head = self._file.read(max(end, 0), 64), _HEAD.pack(Opcode.FOOTER, _FOOTER_BYTES)
         if not footer.startswith(head) or not footer.endswith(MAGIC):
             return []
-        found = [int.from_bytes(footer[len(head) : len(head) + 8], "little")]
-        for opcode, body, length in self._heads(found[0]):
+        positions = [int.from_bytes(footer[len(head) : len(head) + 8], "little")]
+        for opcode, body, length in self._heads(positions[0]):
             if opcode == Opcode.CHUNK_INDEX and length >= 24:  # start, end, position of the chunk
-                found.append(int.from_bytes(self._file.read(body + 16, 8), "little"))
-        return sorted(p for p in found if 0 < p < end)
+                positions.append(int.from_bytes(self._file.read(body + 16, 8), "little"))
+        return sorted(p for p in positions if 0 < p < end)
 
     def _chunk_at(self, position: int) -> _Chunk:
         """The head of the chunk there. Raises _DamagedError if it contradicts itself, struct.error
@@ -286,12 +286,12 @@ class McapRecording(Recording):
                     lost += message.data is None and message.problem is None
                     latest = max(latest, message.log_time)
                     yield message
-                if unit is not None and (found := self._messages_at(positions[unit], channels)):
-                    stamps = [message.log_time for message in found]
+                if unit is not None and (messages := self._messages_at(positions[unit], channels)):
+                    stamps = [message.log_time for message in messages]
                     spans[unit] = min(stamps), max(stamps)
                     highest = accumulate(stamps, max)
                     back_ns = max(back_ns, *(h - t for h, t in zip(highest, stamps, strict=True)))
-                    for n, message in enumerate(found):
+                    for n, message in enumerate(messages):
                         heapq.heappush(waiting, (message.log_time, unit, n, message))
         except OSError as error:
             raise SonarrecError(f"{self.path}: cannot be read ({error.strerror})") from None
@@ -315,24 +315,24 @@ class McapRecording(Recording):
         if opcode == Opcode.MESSAGE:
             body = memoryview(self._file.read(position + _HEAD.size, length))
             return _chosen(body, channels)
-        chunk, found = self._chunk_at(position), list[Message]()
+        chunk, messages = self._chunk_at(position), list[Message]()
         try:
             contents, cut = self._contents(chunk)
             for opcode, body in _records(contents):
                 end += _HEAD.size + len(body)
                 if opcode == Opcode.MESSAGE:
-                    found += _chosen(body, channels)
+                    messages += _chosen(body, channels)
             if end < len(contents) and not cut:
                 where = f"is damaged at byte {end} of its contents"
                 raise _DamagedError(f"{where} (`mcap recover` may save some)")
         except _DamagedError as error:
-            found = self._named_behind(chunk.end, channels)
-            number = f"{len(found)} " if found else ""
+            messages = self._named_behind(chunk.end, channels)
+            number = f"{len(messages)} " if messages else ""
             self.fault(f"the chunk at byte {position} {error}; its {number}frames are lost")
-        return found
+        return messages
 
     def _named_behind(self, position: int, channels: Collection[int]) -> list[Message]:
-        found = list[Message]()
+        messages = list[Message]()
         for opcode, body, length in self._heads(position):
             if opcode != Opcode.MESSAGE_INDEX or length > 2**20:
                 break
@@ -342,8 +342,8 @@ class McapRecording(Recording):
             except _UNREADABLE:
                 break
             if index.channel_id in channels:
-                found += [Message(index.channel_id, t, t, None) for t, _ in index.records]
-        return found
+                messages += [Message(index.channel_id, t, t, None) for t, _ in index.records]
+        return messages
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

@@ -93,13 +93,13 @@ def times_in_names(stems: Sequence[str]) -> NamedTimes | None:
     Each name has date and time of day in the same form, or the time since 1970 in s, ms, us or ns,
     or, if no name has a date, a time of day with decimals, which may go over midnight.
     """
-    found = [times for form in (*_DATED, _SINCE_1970) if (times := _read(form, stems)) is not None]
-    if not found and not any(map(date_in, stems[:1])):
-        found = [t for form in _TIME_OF_DAY if (t := _read(form, stems, dated=False)) is not None]
+    named = [times for form in (*_DATED, _SINCE_1970) if (times := _read(form, stems)) is not None]
+    if not named and not any(map(date_in, stems[:1])):
+        named = [t for form in _TIME_OF_DAY if (t := _read(form, stems, dated=False)) is not None]
     # Day and month may be exchanged: then the right reading is the one that takes days, not months.
-    found.sort(key=lambda times: int(np.ptp(times.ns)))
-    similar = [times for times in found if np.ptp(times.ns) <= 2 * np.ptp(found[0].ns) + _DAY_NS]
-    return found[0] if similar and all((t.ns == found[0].ns).all() for t in similar) else None
+    named.sort(key=lambda times: int(np.ptp(times.ns)))
+    similar = [times for times in named if np.ptp(times.ns) <= 2 * np.ptp(named[0].ns) + _DAY_NS]
+    return named[0] if similar and all((t.ns == named[0].ns).all() for t in similar) else None
 
 
 def date_in(stem: str) -> str | None:
@@ -158,11 +158,11 @@ def _read(form: re.Pattern[str], stems: Sequence[str], dated: bool = True) -> Na
 
 def _stripped(form: re.Pattern[str], texts: list[str]) -> tuple[list[str] | None, list[str]]:
     """(what the form has at the start of all texts, the rest of them); None if one lacks it."""
-    found = [match for text in texts if (match := form.match(text)) is not None]
-    values = [match[1] for match in found]
-    if len(found) < len(texts) or len(set(values)) > 2:  # an offset changes with summer time alone
+    matches = [match for text in texts if (match := form.match(text)) is not None]
+    values = [match[1] for match in matches]
+    if len(values) < len(texts) or len(set(values)) > 2:  # an offset changes with summer time alone
         return None, texts
-    return values, [text[match.end() :] for text, match in zip(texts, found, strict=True)]
+    return values, [text[match.end() :] for text, match in zip(texts, matches, strict=True)]
 
 
 def _seconds(part: dict[str, str | None]) -> int:

@@ -376,12 +376,12 @@ def _of_map(
     levels: Levels, pictures: Sequence[np.ndarray], stated: Stated, since: str = ""
 ) -> Levels:
     """With the colour map of pictures, which a note names. since: the frame, if not the first."""
-    found = find_map(pictures) or LUMINANCE
-    how = f"read as levels of the colour map {found}"
-    if found == LUMINANCE:
+    name = find_map(pictures) or LUMINANCE
+    how = f"read as levels of the colour map {name}"
+    if name == LUMINANCE:
         how = "of no known colour map, and read by their luminance"
     stated.note(f"colours {since}{how}; colour_map in sonar.toml states another")
-    return replace(levels, colour_map=found, in_colour=True)
+    return replace(levels, colour_map=name, in_colour=True)
 
 
 def _in_colour(pixels: np.ndarray) -> bool:

@@ -98,12 +98,12 @@ def _of_images(shape: tuple[int, int], stated: Stated) -> Layout:
     """The layout of images of this shape, from the geometry that is stated."""
     sonar, geometry = stated.sonar, stated.sonar.complete(stated.where)
     view, bearings = sonar.field_of_view_deg, geometry.bearings_deg
-    theirs = geometry.bearing_max_deg - geometry.bearing_min_deg
+    covered = geometry.bearing_max_deg - geometry.bearing_min_deg
     # Some count from the middle of the first beam to that of the last, a beam less.
-    if view and bearings and abs(view - theirs) > 1.01 * theirs / len(bearings):
+    if view and bearings and abs(view - covered) > 1.01 * covered / len(bearings):
         stated.note(
             f"field_of_view_deg = {view:g} is not used: bearings_deg take precedence, and "
-            f"cover {theirs:.4g} deg"
+            f"cover {covered:.4g} deg"
         )
     if sonar.layout != "polar":
         return Layout(sonar, fan_for_image(geometry, *shape), shape)
@@ -178,7 +178,7 @@ def _of_window(
             f"its window, {window.range_min_m:.3g} to {window.range_max_m:.3g} m, shows less than "
             f"half of the log's, {fan.range_min_m:.3g} to {fan.range_max_m:.3g} m"
         )
-    if not all(_covers(of(fan), of(window)) for of in (_ranges, _bearings)):
+    if not all(_covers(edges(fan), edges(window)) for edges in (_ranges, _bearings)):
         view_deg = fan.bearing_max_deg - fan.bearing_min_deg
         stated.note(
             f"some pings show more than the fan of the first ones, {fan.range_min_m:.3g} to "
@@ -219,7 +219,7 @@ def _covers(span: tuple[float, float], other: tuple[float, float]) -> bool:
 def agree(a: PingGeometry, b: PingGeometry) -> bool:
     """Whether two pings each show enough of the other's window and field of view."""
     pairs = ((a, b), (b, a))
-    return all(_covers(of(x), of(y)) for of in (_ranges, _bearings) for x, y in pairs)
+    return all(_covers(edges(x), edges(y)) for edges in (_ranges, _bearings) for x, y in pairs)
 
 
 def same_view(a: PingGeometry, b: PingGeometry, bins: int) -> bool:
@@ -238,23 +238,23 @@ def _as_stated(ping: PingGeometry, stated: Sonar, bins: int) -> tuple[Sonar, lis
     if stated.layout == "fan":
         against.append('layout = "fan" (they are polar, and read so)')
     keys = ("range_min_m", "range_max_m", "bearings_deg", "ranges_m", "beam_order")
-    theirs = Sonar(layout="polar", **{key: getattr(ping, key) for key in keys})
-    sonar = theirs.updated(replace(stated, layout=None))
+    by_ping = Sonar(layout="polar", **{key: getattr(ping, key) for key in keys})
+    sonar = by_ping.updated(replace(stated, layout=None))
     bin_m = (ping.range_max_m - ping.range_min_m) / bins
     for key in keys[:2]:
-        mine, of_ping = getattr(stated, key), getattr(ping, key)
-        if mine is None:
+        value, of_ping = getattr(stated, key), getattr(ping, key)
+        if value is None:
             continue
-        if abs(mine - of_ping) > bin_m / 2:
-            against.append(f"{key} = {mine:g} (not {of_ping:.4g})")
+        if abs(value - of_ping) > bin_m / 2:
+            against.append(f"{key} = {value:g} (not {of_ping:.4g})")
             sonar = replace(sonar, ranges_m=stated.ranges_m)
         elif stated.ranges_m is None and ping.ranges_m is not None:
             sonar = replace(sonar, **{key: of_ping})  # which fits the middles of the bins
     bearings = np.asarray(ping.bearings_deg)
     beam_deg = float(np.ptp(bearings)) / (len(bearings) - 1)
     if stated.bearings_deg is not None:
-        mine = np.asarray(stated.bearings_deg)
-        if mine.shape != bearings.shape or np.abs(mine - bearings).max() > beam_deg / 2:
+        value = np.asarray(stated.bearings_deg)
+        if value.shape != bearings.shape or np.abs(value - bearings).max() > beam_deg / 2:
             against.append("bearings_deg")
         return sonar, against
     view, theirs_deg = stated.field_of_view_deg, beam_deg * len(bearings)

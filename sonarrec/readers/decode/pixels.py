@@ -149,7 +149,7 @@ def _array(data: np.ndarray) -> np.ndarray:
         return pixels.astype(np.float64 if pixels.itemsize > 4 else np.float32)
     # NumPy's own type of integers is wide, whatever they are: those of a picture are not.
     low, high = (int(f(initial=0)) for f in (pixels.min, pixels.max))
-    fits = (of for of in (np.uint8, np.uint16) if low >= 0 and high <= np.iinfo(of).max)
+    fits = (kind for kind in (np.uint8, np.uint16) if low >= 0 and high <= np.iinfo(kind).max)
     narrow = next(fits, pixels.dtype) if pixels.itemsize > 2 else pixels.dtype
     return pixels.astype(np.float32 if low < 0 else narrow)
 

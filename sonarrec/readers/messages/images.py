@@ -92,8 +92,8 @@ def _choose(log: Recording, topic: str | None) -> dict[int, Decoder]:
             )
     if topic is not None and topic not in topics:
         kinds = [f" ({c.schema} is not read)" for c in log.channels.values() if c.topic == topic]
-        kind, there = "".join(kinds[:1]), ", ".join(topics)
-        raise UsageError(f"{log.path}: no image channel {topic!r}{kind}; there is {there}")
+        kind, known = "".join(kinds[:1]), ", ".join(topics)
+        raise UsageError(f"{log.path}: no image channel {topic!r}{kind}; there is {known}")
     chosen = topic or topics[0]
     unread = [c for n, c in log.channels.items() if n not in decoders and log.counts.get(n)]
     named = [f"{c.topic} ({c.schema})" for c in unread]

@@ -217,9 +217,9 @@ class FloorRegistration:
             ),
             np.float32,
         ).reshape(earlier.shape)
-        one, other = rotated[1, :, 1:-1], later[1, :, 1:-1]
-        power = float(np.vdot(one, one))
-        product = float(np.vdot(one, other))
+        early, late = rotated[1, :, 1:-1], later[1, :, 1:-1]
+        power = float(np.vdot(early, early))
+        product = float(np.vdot(early, late))
         if product <= LEAST_SHARE * power or power <= 0:
             return None
         slopes = [self._slope(p) for p in (rotated, later)]
@@ -227,7 +227,7 @@ class FloorRegistration:
         first, second = (s.reshape(3, -1) for s in slopes)
         curvature = (first @ second.T).astype(float) * float(share)
         curvature = (curvature + curvature.T) / 2
-        residual = other - share * one
+        residual = late - share * early
         score = slopes[0] * residual
         blocks = _in_blocks(score, QUICK_BLOCKS)
         if np.linalg.det(curvature) <= 0:
@@ -237,7 +237,7 @@ class FloorRegistration:
             return None
         rest = inverse @ blocks.sum(axis=1)
         rest[2] += yaw
-        match = product / math.sqrt(power * float(np.vdot(other, other)))
+        match = product / math.sqrt(power * float(np.vdot(late, late)))
         return Registration(rest, inverse @ (blocks @ blocks.T) @ inverse, match)
 
     def _sampled_rows(self, picture: FloatImage) -> FloatImage:
@@ -287,9 +287,9 @@ class _Fit:
 
         earlier: shown only where the later one is. grain: compared cells in a grain of speckle.
         """
-        one, other = earlier.layers[4:], later.layers[4:] * earlier.shown
+        early, late = earlier.layers[4:], later.layers[4:] * earlier.shown
         both = _products(earlier.layers, later.layers)  # (5, 5), of cells that both show
-        own = _products(earlier.layers, one)[:, 0], _products(later.layers, other)[:, 0]
+        own = _products(earlier.layers, early)[:, 0], _products(later.layers, late)[:, 0]
         powers, product = (float(own[0][4]), float(own[1][4])), float(both[4, 4])
         if product <= LEAST_SHARE * max(powers) or product <= 0:
             return None
@@ -329,10 +329,10 @@ class _Fit:
         The scatter is the covariance of the blocks' scores.
         """
         (earlier, later), (first, second) = self.pictures, self.scales
-        one, other = first * earlier.layers[4], second * later.layers[4] * earlier.shown
+        early, late = first * earlier.layers[4], second * later.layers[4] * earlier.shown
         match = np.float32(self.match)
-        scores = earlier.layers[:4] * (first * (other - match * one))
-        scores += later.layers[:4] * (second * (match * other - one))
+        scores = earlier.layers[:4] * (first * (late - match * early))
+        scores += later.layers[:4] * (second * (match * late - early))
         blocks = _in_blocks(scores, BLOCKS) / 2
         scatter = blocks @ blocks.T
         scatter[3, 3] += (self.noise / HEAVE_M) ** 2
