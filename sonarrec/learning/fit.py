@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weig
 PRIOR_WEIGHT = 300.0
 LEAST_SPREAD = 1e-3
 AT_ONCE = 500
-"""Samples whose layers are in memory together."""
+"""Samples whose layers, or curvatures, are in memory together."""
 
 
 def fit(
@@ -41,16 +41,15 @@ def fit(
         raise SonarrecError(
             f"tracks lie on {what} in all {total} cases; a model needs landmarks and other objects"
         )
-    blocks = [
-        part_of(r, slice(first, first + AT_ONCE)).pictures
-        for r in recordings
-        for first in range(0, len(r.label), AT_ONCE)
-    ]
-    logs, slopes = (
-        np.concatenate(p) for p in zip(*(_linear(reader, b) for b in blocks), strict=True)
-    )
+    size = sum(len(built_in[name]) for name in LAST_LAYER)
+    logs, slopes = np.empty((total, ids + 1)), np.empty((total, ids + 1, size), np.float32)
+    end = 0
+    for recording in recordings:
+        for rows in _blocks(len(recording.label)):
+            block = slice(end, end := end + rows.stop - rows.start)
+            logs[block], slopes[block] = _linear(reader, part_of(recording, rows).pictures)
     # A change counts by what it does to beliefs, for the layers' results differ in size.
-    spread = np.sqrt(np.mean(slopes**2, axis=(0, 1))) + LEAST_SPREAD
+    spread = np.sqrt(np.einsum("nkd,nkd->d", slopes, slopes) / (total * (ids + 1))) + LEAST_SPREAD
     slopes /= spread
     change = _most_likely(logs, slopes, label, prior_weight) / spread
     weights, start = dict(built_in), 0
@@ -92,7 +91,7 @@ def _most_likely(
     change, least, step = np.zeros(size), np.inf, np.zeros(size)
     best = change
     for _ in range(60):
-        logits = logs + slopes @ change
+        logits = logs + np.concatenate([slopes[rows] @ change for rows in _blocks(n)])
         top = logits.max(axis=1, keepdims=True)
         p = np.exp(logits - top)
         total = p.sum(axis=1, keepdims=True)
@@ -105,15 +104,23 @@ def _most_likely(
             gained, least, best = least - loss, loss, change
             if gained < 1e-7 * abs(loss):
                 break
-            expected = np.einsum("nk,nkd->nd", p, slopes)
-            gradient = slopes[np.arange(n), label].sum(axis=0) - expected.sum(axis=0)
-            weighted = (slopes * np.sqrt(p, dtype=np.float32)[..., None]).reshape(-1, size)
-            curvature = weighted.T @ weighted - expected.T @ expected
-            step = np.linalg.solve(
-                curvature + prior_weight * np.eye(size), gradient - prior_weight * change
-            )
+            gradient: FloatArray = -prior_weight * change
+            curvature = prior_weight * np.eye(size)
+            for rows in _blocks(n):
+                block, likely = slopes[rows], p[rows]
+                expected = np.einsum("nk,nkd->nd", likely, block)
+                gradient += block[np.arange(len(block)), label[rows]].sum(axis=0)
+                gradient -= expected.sum(axis=0)
+                weighted = (block * np.sqrt(likely)[..., None]).reshape(-1, size)
+                curvature += weighted.T @ weighted - expected.T @ expected
+            step = np.linalg.solve(curvature, gradient)
         change = best + step
     return best
+
+
+def _blocks(n: int) -> Iterator[slice]:
+    """Slices of AT_ONCE of n samples."""
+    return (slice(first, min(first + AT_ONCE, n)) for first in range(0, n, AT_ONCE))
 
 
 def part_of(samples: Samples, which: BoolArray | slice) -> Samples:

@@ -85,17 +85,18 @@ def test_sums_are_exact_in_single_precision_so_their_order_cannot_matter(seed: i
     pictures = random_pictures(seed)
     of_directions, _ = READ.layers(pictures)
     seen = (pictures.count[:, :3] > 0).any(axis=1)
-    assert (of_directions[..., :-1][seen] == _layers_in_double(pictures)[seen]).all()
+    in_double = [_layers_in_double(pictures, network) for network in range(len(WEIGHTS["hidden"]))]
+    assert (of_directions[..., :-1][seen] == np.concatenate(in_double, axis=2)[seen]).all()
 
 
-def _layers_in_double(pictures: Pictures) -> np.ndarray:
-    """(n, ANGLES, C) tap by tap."""
+def _layers_in_double(pictures: Pictures, network: int) -> np.ndarray:
+    """(n, ANGLES, C) of one network, tap by tap."""
     from sonarrec.recogniser.stage3 import reader
 
     h = reader._steps(reader.direction_inputs(pictures)).astype(float)
     for i, (width, dilation) in enumerate(LAYERS):
-        kernel = WEIGHTS[f"conv{i}"].reshape(width, h.shape[2], -1)
-        new = WEIGHTS[f"conv{i}_bias"] + sum(
+        kernel = WEIGHTS[f"conv{i}"][network].reshape(width, h.shape[2], -1)
+        new = WEIGHTS[f"conv{i}_bias"][network] + sum(
             np.roll(h, (width // 2 - j) * dilation, axis=1) @ kernel[j] for j in range(width)
         )
         h = np.maximum(new, 0) + (h if i else 0)

@@ -1,9 +1,11 @@
-"""The reader: a small network that reads a symbol, direction by direction, off a shape matrix.
+"""The reader: small networks that read a symbol, direction by direction, off a shape matrix.
 
-It says of each direction how likely the symbol is lit there, whether the object is a disc with a
-symbol, and whether that may be a symbol of no ID. Nothing about an ID is learned: beliefs follow
-from what is read and the codes of whatever set is used. Its layers run round the circle, so that
-all directions are read by the same weights; where the line of sight lies is an input.
+There are several, since each errs in other pictures; they learned by other chances, and the last
+layer takes their mean. They say of each direction how likely the symbol is lit there, whether the
+object is a disc with a symbol, and whether that may be a symbol of no ID. Nothing about an ID is
+learned: beliefs follow from what is read and the codes of whatever set is used. Layers run round
+the circle, so that all directions are read by the same weights; where the line of sight lies is an
+input.
 
 With an ID's code c (0 or 1), the log odds l that a direction is lit, and a scale T:
 
@@ -92,8 +94,15 @@ class Reader:
     every_frame: ClassVar = False  # see Reads in appearance.py
 
     def __init__(self, weights: Weights, codes: FloatArray) -> None:
-        """weights: from model_file.py. codes: (ANGLES, K, ANGLES) from `rotated_codes`."""
+        """weights: from model_file.py; the first axis of those before LAST_LAYER is the networks.
+
+        codes: (ANGLES, K, ANGLES) from `rotated_codes`.
+        """
         self._weights = {name: values.astype(np.float32) for name, values in weights.items()}
+        own = [name for name in weights if name not in (*LAST_LAYER, "scale")]
+        self._networks = [
+            {name: self._weights[name][m] for name in own} for m in range(len(weights["hidden"]))
+        ]
         self.scale = float(np.exp(weights["scale"][0]))
         self._codes = codes.reshape(-1, ANGLES).T
         self._ids = codes.shape[1]
@@ -105,21 +114,13 @@ class Reader:
     def layers(self, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, C) and (n, H), what the last layer judges: each direction, and the object.
 
-        The last column is 1, for the bias. Directions of which nothing was seen are all 0, so that
-        they are not read: their log odds are 0.
+        The results of all networks, and a last column of ones, for the bias. Directions of which
+        nothing was seen are all 0, so that they are not read: their log odds are 0.
         """
-        w, h = self._weights, _steps(direction_inputs(pictures))
-        for i, around in enumerate(AROUND):
-            taps = np.take(h, around, axis=1).reshape(len(h) * ANGLES, around.shape[1] * h.shape[2])
-            new = taps @ w[f"conv{i}"]
-            new += w[f"conv{i}_bias"]
-            np.maximum(new, 0, out=new)
-            new = new.reshape(len(h), ANGLES, new.shape[1])
-            h = _steps(new + h if i else new)
-        parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), object_inputs(pictures)]
-        of_object = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
-        of_directions = _with_ones(h) * seen_directions(pictures)[..., None]
-        return of_directions, _with_ones(_steps(np.maximum(of_object, 0)))
+        inputs = _steps(direction_inputs(pictures)), object_inputs(pictures)
+        of_directions, of_object = zip(*(_results(w, *inputs) for w in self._networks), strict=True)
+        seen = seen_directions(pictures)[..., None]
+        return _with_ones(*of_directions) * seen, _with_ones(*of_object)
 
     def reading(self, of_directions: FloatArray, of_object: FloatArray) -> Reading:
         """What the last layer makes of the results of `layers`."""
@@ -157,9 +158,27 @@ def _steps(values: FloatArray) -> FloatArray:
     return np.asarray(np.rint(values * steps).astype(np.float32) / steps)
 
 
-def _with_ones(values: FloatArray) -> FloatArray:
-    """The values with a column of ones behind the last."""
-    return np.concatenate([values, np.ones((*values.shape[:-1], 1), np.float32)], axis=-1)
+def _with_ones(*values: FloatArray) -> FloatArray:
+    """The values side by side, with a column of ones behind the last."""
+    ones = np.ones((*values[0].shape[:-1], 1), np.float32)
+    return np.concatenate([*values, ones], axis=-1)
+
+
+def _results(w: Weights, h: FloatArray, of_object: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, ANGLES, C) and (n, H) the results of one network with these weights.
+
+    h, of_object: from `direction_inputs`, in steps, and `object_inputs`.
+    """
+    for i, around in enumerate(AROUND):
+        taps = np.take(h, around, axis=1).reshape(len(h) * ANGLES, around.shape[1] * h.shape[2])
+        new = taps @ w[f"conv{i}"]
+        new += w[f"conv{i}_bias"]
+        np.maximum(new, 0, out=new)
+        new = new.reshape(len(h), ANGLES, new.shape[1])
+        h = _steps(new + h if i else new)
+    parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), of_object]
+    hidden = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
+    return h, _steps(np.maximum(hidden, 0))
 
 
 def seen_directions(pictures: Pictures) -> BoolArray:

@@ -14,7 +14,7 @@ import numpy as np
 from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.samples import describe, label
-from sonarrec.recogniser.stage3.model_file import BUILT_IN, save_weights
+from sonarrec.recogniser.stage3.model_file import BUILT_IN, joined_networks, save_weights
 from sonarrec.recogniser.stage3.reader import THETA
 from sonarrec.records import Frame
 from sonarrec.simulation.render import render
@@ -43,7 +43,7 @@ RECORDINGS = {
 DRAWN, AT_ONCE = 60_000, 2_000  # pictures, and those of one seed
 DISCS = 0.4  # the share of discs among the tracks that teach
 ALIKE_FRAMES = 6  # the frames of one track count as at most so many
-SEED = 1  # of the network
+SEEDS = range(1, 5)  # of the networks
 
 
 def examples_of(recording: tuple[str, int]) -> Examples:
@@ -98,13 +98,16 @@ def balanced(tracks: Examples) -> Examples:
     return tracks._replace(weight=np.where(discs, weight * factor, weight))
 
 
-def make_model(recordings: Sequence[tuple[str, int]], drawn: int = DRAWN, seed: int = SEED) -> None:
+def make_model(
+    recordings: Sequence[tuple[str, int]], drawn: int = DRAWN, seeds: Sequence[int] = SEEDS
+) -> None:
     """Learn the built-in reader and write it."""
     from tests.studies.learning.network import learn  # jax is needed for this alone
 
     tracks = joined_examples(in_processes(examples_of, recordings))
     pictures = joined_examples(in_processes(drawn_examples, range(drawn // AT_ONCE)))
-    save_weights(learn(balanced(tracks), pictures, seed), BUILT_IN)
+    networks = [learn(balanced(tracks), pictures, seed) for seed in seeds]
+    save_weights(joined_networks(networks), BUILT_IN)
 
 
 if __name__ == "__main__":
