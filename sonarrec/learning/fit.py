@@ -88,8 +88,8 @@ def _most_likely(
 ) -> FloatArray:
     """(D,) the change of the last layer that makes the labels (n,) likeliest."""
     n, _, size = slopes.shape
-    change, least, step = np.zeros(size), np.inf, np.zeros(size)
-    best = change
+    step: FloatArray = np.zeros(size)
+    best, change, least = step, step, np.inf
     for _ in range(60):
         logits = logs + np.concatenate([slopes[rows] @ change for rows in _blocks(n)])
         top = logits.max(axis=1, keepdims=True)
@@ -104,7 +104,7 @@ def _most_likely(
             gained, least, best = least - loss, loss, change
             if gained < 1e-7 * abs(loss):
                 break
-            gradient: FloatArray = -prior_weight * change
+            gradient = -prior_weight * change
             curvature = prior_weight * np.eye(size)
             for rows in _blocks(n):
                 block, likely = slopes[rows], p[rows]
