@@ -54,7 +54,7 @@ scenes: .venv/installed  # every kind of random scene, all methods, beside the g
 worlds: .venv/installed  # recordings that are not ours, where they are at hand
 	$(BIN)/python -m tests.studies.worlds --record worlds
 
-model: .venv/installed  # the built-in reader of stage 3, learned from nothing (over half an hour)
+model: .venv/installed  # the built-in reader of stage 3, learned from nothing (over an hour)
 	$(BIN)/pip install -q -e '.[learn]'
 	$(BIN)/python -m tests.studies.learning.built_in
 

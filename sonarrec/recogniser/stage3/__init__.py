@@ -2,7 +2,7 @@
 
 Two measurements turn shape matrices into beliefs. The published one (published.py) identifies
 single frames and applies Tables 2 and 3 and Eq. 5 to 8. The default (appearance.py) averages the
-matrix along the track, and a network reads its symbol (reader.py).
+matrix along the track, and small networks read its symbol (reader.py).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The paper measures each frame by itself. It normalises the similarities, so that they cannot say
 that a disc is no landmark. Here the grey shape matrix is averaged in the object's own frame
-(track_matrix.py), and a small network reads its symbol, whatever that is (reader.py). The beliefs
+(track_matrix.py), and small networks read its symbol, whatever that is (reader.py). The beliefs
 of the track's frames so far are pooled (opinions.py), in place of Eq. 5 to 8.
 """
 

@@ -1,4 +1,7 @@
-"""The built-in reader of stage 3, learned from nothing: `make model` makes it again.
+"""A reader of stage 3 like the built-in one, learned from nothing by `make model`.
+
+Three of the built-in reader's networks learned from earlier versions of the random pictures, and
+one is what this made with seed 1.
 
 Half of what it learns from are tracks of simulated recordings, as stages 1 and 2 give them; the
 other half are pictures drawn at random (random_pictures.py), which differ more than those of any
