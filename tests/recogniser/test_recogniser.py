@@ -423,4 +423,4 @@ def test_orientation_holds_past_what_the_sonar_is_carried_by():
                 off[name].append(abs((e.orientation_deg - true[e.landmark] + 90) % 180 - 90))
     for values in off.values():
         assert len(values) > frames / 2
-        assert np.median(values) < 3.2
+        assert np.median(values) < 2.8
