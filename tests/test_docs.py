@@ -180,7 +180,7 @@ def test_a_page_is_fit_for_a_terminal(name: str) -> None:
     text = page_texts()[name]
     assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
     assert len(text.splitlines()) <= (
-        220 if name in ("contribute", "formats", "results", "run", "truth") else 150
+        220 if name in ("contribute", "formats", "results", "run") else 150
     )
     shown = {line for _, lines in examples(PAGES[name]) for line in lines}
     assert not [
