@@ -336,31 +336,23 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
     assert len(read(lapse, sonar=TILT)[0]) == 3
 
 
-@pytest.mark.parametrize("pitch_deg", [0.0, 40.0, -25.0])
-def test_beams_that_a_mounting_pitches(pitch_deg: float, tmp_path: Path) -> None:
-    """Bearings are taken in the beams' own plane, whose pitch is told."""
-    flat, pitched = (messages.projected_fields(0, polar_frames(1)[0]) for _ in range(2))
-    pitch = np.radians(pitch_deg)
-    pitched["beam_directions"] = [
-        one | {"x": one["z"] * np.sin(pitch), "z": one["z"] * np.cos(pitch)}
+@pytest.mark.parametrize(
+    ("axis", "angle_deg"),
+    [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)],
+)
+def test_beams_that_a_mounting_pitches_or_rolls(
+    axis: str, angle_deg: float, tmp_path: Path
+) -> None:
+    """Bearings are taken in the beams' own plane, whose pitch is noted."""
+    flat, leaning = (messages.projected_fields(0, polar_frames(1)[0]) for _ in range(2))
+    angle = np.radians(angle_deg)
+    leaning["beam_directions"] = [
+        one | {"x": one[axis] * np.sin(angle), axis: one[axis] * np.cos(angle)}
         for one in flat["beam_directions"]
     ]
     (expected,), _, _ = read(log_of(tmp_path / "flat.mcap", [flat]), sonar=TILT)
-    (frame,), _, notes = read(log_of(tmp_path / "log.mcap", [pitched]), sonar=TILT)
+    (frame,), _, notes = read(log_of(tmp_path / "log.mcap", [leaning]), sonar=TILT)
     for edge in ("bearing_min_deg", "bearing_max_deg"):
         assert getattr(frame.fan, edge) == pytest.approx(getattr(expected.fan, edge), abs=1e-3)
-    assert any("pitched" in note for note in notes) == (pitch_deg != 0)
-
-
-@pytest.mark.parametrize("roll_deg", [30.0, -20.0])
-def test_beams_that_a_mounting_rolls(roll_deg: float, tmp_path: Path) -> None:
-    flat, rolled = (messages.projected_fields(0, polar_frames(1)[0]) for _ in range(2))
-    roll = np.radians(roll_deg)
-    rolled["beam_directions"] = [
-        one | {"x": one["y"] * np.sin(roll), "y": one["y"] * np.cos(roll)}
-        for one in flat["beam_directions"]
-    ]
-    (expected,), _, _ = read(log_of(tmp_path / "flat.mcap", [flat]), sonar=TILT)
-    (frame,), _, _ = read(log_of(tmp_path / "log.mcap", [rolled]), sonar=TILT)
-    for edge in ("bearing_min_deg", "bearing_max_deg"):
-        assert getattr(frame.fan, edge) == pytest.approx(getattr(expected.fan, edge), abs=1e-3)
+    if axis == "z":
+        assert any("pitched" in note for note in notes) == (angle_deg != 0)

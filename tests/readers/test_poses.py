@@ -210,6 +210,14 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ),
         ("timestamp,yaw\n0,1\n1,north\n", "line 3: yaw must be a finite number, not 'north'"),
         ("timestamp_ns,yaw\n0.5,1\n1,1\n", "line 2: timestamp_ns must be a whole number"),
+        # In TUM form:
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 1\n", "line 2: a pose in TUM form is 8 finite numbers"),
+        ("0 1 2 3 0 0 0 1\n# a\n1 1 2 3 0 0 x 1\n", "line 3: a pose in TUM form"),
+        ("0 1 2 3 0 0 nan 1\n1 1 2 3 0 0 0 1\n", "line 1: a pose in TUM form"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 0\n", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1\n1 1e12 2 3 0 0 0 1\n", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1\n", "two times"),
+        ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1\n", "steps of 100 are neither"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
@@ -286,26 +294,6 @@ def test_a_run_with_poses_in_tum_form_is_that_with_the_table(pings):
     # The map has the axes of the file: x is ahead, y to the left.
     assert places["tum"] == [pytest.approx((5 + y, 6 - x), abs=0.01) for x, y in places["table"]]
     assert places["tum"]
-
-
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 1\n", "line 2: a pose in TUM form is 8 finite numbers"),
-        ("0 1 2 3 0 0 0 1\n# a\n1 1 2 3 0 0 x 1\n", "line 3: a pose in TUM form"),
-        ("0 1 2 3 0 0 nan 1\n1 1 2 3 0 0 0 1\n", "line 1: a pose in TUM form"),
-        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 0\n", "line 2: no pose"),
-        ("0 1 2 3 0 0 0 1\n1 1e12 2 3 0 0 0 1\n", "line 2: no pose"),
-        ("0 1 2 3 0 0 0 1\n", "two times"),
-        ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1\n", "steps of 100 are neither"),
-    ],
-)
-def test_a_fault_in_tum_form_has_its_line(tmp_path, text, fault):
-    path = rows(tmp_path / "poses.csv", text)
-    with pytest.raises(SonarrecError, match=r"poses\.csv") as told:
-        read_poses(path)
-    assert fault in str(told.value)
-    assert "\n" not in str(told.value)
 
 
 # The pose topic
