@@ -6,7 +6,7 @@ A file of `calibrate` holds the last layer alone, as a TOML text with one list a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,24 +27,6 @@ def built_in_weights() -> Weights:
     frame."""
     with np.load(BUILT_IN) as file:
         return {name: file[name] / WEIGHT_STEPS for name in file.files}
-
-
-def joined_networks(networks: Sequence[Weights]) -> Weights:
-    """The weights of a reader of networks that were learned one by one: their last layers' mean."""
-    first, n = networks[0], len(networks)
-    weights = {name: np.stack([w[name] for w in networks]) for name in first}
-    for name in LAST_LAYER:
-        of_each, bias = weights[name][:, :-1] / n, weights[name][:, -1].mean(keepdims=True)
-        weights[name] = np.concatenate([of_each.ravel(), bias])
-    return weights | {"scale": weights["scale"].mean(axis=0)}
-
-
-def save_weights(weights: Weights, path: Path) -> None:
-    """Write weights as built_in_weights reads them: multiples of 1 / WEIGHT_STEPS."""
-    steps: dict[str, Any] = {
-        name: np.rint(w * WEIGHT_STEPS).astype(np.int16) for name, w in weights.items()
-    }
-    np.savez_compressed(path, **steps)
 
 
 @cache

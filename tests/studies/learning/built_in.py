@@ -11,14 +11,16 @@ simulator.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sonarrec.config import preset
 from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.samples import describe, label
-from sonarrec.recogniser.stage3.model_file import BUILT_IN, joined_networks, save_weights
-from sonarrec.recogniser.stage3.reader import THETA
+from sonarrec.recogniser.stage3.model_file import BUILT_IN
+from sonarrec.recogniser.stage3.reader import LAST_LAYER, THETA, WEIGHT_STEPS, Weights
 from sonarrec.records import Frame
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
@@ -99,6 +101,24 @@ def balanced(tracks: Examples) -> Examples:
     discs, weight = tracks.label < MOST_IDS, tracks.weight
     factor = DISCS / (1 - DISCS) * weight[~discs].sum() / weight[discs].sum()
     return tracks._replace(weight=np.where(discs, weight * factor, weight))
+
+
+def joined_networks(networks: Sequence[Weights]) -> Weights:
+    """The weights of a reader of networks that were learned one by one: their last layers' mean."""
+    first, n = networks[0], len(networks)
+    weights = {name: np.stack([w[name] for w in networks]) for name in first}
+    for name in LAST_LAYER:
+        of_each, bias = weights[name][:, :-1] / n, weights[name][:, -1].mean(keepdims=True)
+        weights[name] = np.concatenate([of_each.ravel(), bias])
+    return weights | {"scale": weights["scale"].mean(axis=0)}
+
+
+def save_weights(weights: Weights, path: Path) -> None:
+    """Write weights as built_in_weights reads them: multiples of 1 / WEIGHT_STEPS."""
+    steps: dict[str, Any] = {
+        name: np.rint(w * WEIGHT_STEPS).astype(np.int16) for name, w in weights.items()
+    }
+    np.savez_compressed(path, **steps)
 
 
 def make_model(
