@@ -6,18 +6,21 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray, selected
+from sonarrec.arrays import BoolArray, FloatArray, selected
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weights, sigmoid
+from sonarrec.recogniser.stage3.reader import LAST_LAYER, Reader, Weights
 
-# Weight of the prior, in frames: on the squared change of each weight, as the root mean square of
-# what it does to log beliefs. The frames of a track share a memory of 40 (features.memory_frames),
-# and say hardly more than one would.
-PRIOR_WEIGHT = 300.0
+# Weight of the prior, in frames: on the squared change of each gain and bias, as the root mean
+# square of what it does to log beliefs. The frames of a track share a memory of 40
+# (features.memory_frames), and say hardly more than one would.
+PRIOR_WEIGHT = 30.0
 LEAST_SPREAD = 1e-3
+SMALL = 1e-3
+"""Change of a gain or bias: that of slopes, and the least step."""
+MOST_STEPS = 50
 AT_ONCE = 500
-"""Samples whose layers, or curvatures, are in memory together."""
+"""Samples whose layers, or beliefs, are in memory together."""
 
 
 def fit(
@@ -26,96 +29,78 @@ def fit(
     codes: FloatArray,
     prior_weight: float = PRIOR_WEIGHT,
 ) -> Weights:
-    """The weights with the likeliest last layer, near the built-in one.
+    """The weights with the likeliest gain and bias of each output of the last layer.
 
-    Beliefs are taken as linear in the last layer, with every rotation as likely as the built-in
-    reader has it. So the penalised log likelihood is concave, and Newton's method finds its one
-    maximum. codes: (ANGLES, K, ANGLES) from `rotated_codes`. Raises SonarrecError where the
-    recordings hold no landmark, or nothing but landmarks.
+    These six numbers say how faint the symbols are and how common discs are. To change each of the
+    last layer's weights fits the recordings themselves better, and others of their site worse than
+    the built-in reader does (`sonarrec help contribute`). The maximum of the penalised likelihood
+    is found by Fisher's scoring; steps are halved until the likelihood rises.
+    codes: (ANGLES, K, ANGLES) from `rotated_codes`. Raises SonarrecError where the recordings hold
+    no landmark, or nothing but landmarks.
     """
     reader, ids = Reader(built_in, codes), codes.shape[1]
     label = np.concatenate([r.label for r in recordings])
-    on, total = np.count_nonzero(label < ids), len(label)
-    if not 0 < on < total:
+    on, every = np.count_nonzero(label < ids), np.arange(len(label))
+    if not 0 < on < len(label):
         what = "no landmark" if on == 0 else "nothing but landmarks"
         raise SonarrecError(
-            f"tracks lie on {what} in all {total} cases; a model needs landmarks and other objects"
+            f"tracks lie on {what} in all {len(label)} cases; a model needs landmarks and other "
+            "objects"
         )
-    size = sum(len(built_in[name]) for name in LAST_LAYER)
-    logs, slopes = np.empty((total, ids + 1)), np.empty((total, ids + 1, size), np.float32)
-    end = 0
-    for recording in recordings:
-        for rows in _blocks(len(recording.label)):
-            block = slice(end, end := end + rows.stop - rows.start)
-            logs[block], slopes[block] = _linear(reader, part_of(recording, rows).pictures)
-    # A change counts by what it does to beliefs, for the layers' results differ in size.
-    spread = np.sqrt(np.einsum("nkd,nkd->d", slopes, slopes) / (total * (ids + 1))) + LEAST_SPREAD
-    slopes /= spread
-    change = _most_likely(logs, slopes, label, prior_weight) / spread
-    weights, start = dict(built_in), 0
-    for name in LAST_LAYER:
-        end = start + len(built_in[name])
-        weights[name] = built_in[name] + change[start:end]
-        start = end
-    return weights
+    outputs = [
+        reader.last_layer(selected(r.pictures, rows))
+        for r in recordings
+        for rows in _blocks(len(r.label))
+    ]
 
+    def log_probabilities(change: FloatArray) -> FloatArray:
+        """(n, K + 1) log beliefs with these changes of the gains, then of the biases."""
+        gain, bias = 1 + change[: len(LAST_LAYER)], change[len(LAST_LAYER) :]
+        logs = []
+        for lit, disc, other in outputs:
+            lit_now = gain[0] * lit + bias[0] * (lit != 0)  # 0 where nothing was seen
+            now = reader.judged(lit_now, gain[1] * disc + bias[1], gain[2] * other + bias[2])
+            logs.append(now.log_beliefs)
+        joined = np.concatenate(logs)
+        return np.asarray(joined - np.logaddexp.reduce(joined, axis=1, keepdims=True))
 
-def _linear(reader: Reader, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
-    """(n, K + 1) log beliefs by the reader, and (n, K + 1, D) their slopes along LAST_LAYER."""
-    of_directions, of_object = reader.layers(pictures)
-    reading = reader.reading(of_directions, of_object)
-    lit, scale = reading.lit, reader.scale
-    ids = reading.rotation.shape[1]
-    free = sigmoid(reading.free)[:, None]  # the share of 'none' that is a free symbol
-    directions = np.concatenate(
-        [
-            reader.expected_codes(lit) - sigmoid(lit)[:, None],
-            (free * sigmoid(-np.abs(lit)) * np.sign(lit))[:, None],
-        ],
-        axis=1,
-    )
-    of_lit = scale * directions @ of_directions
-    of_disc = np.repeat(of_object[:, None], ids + 1, axis=1)
-    of_disc[:, -1] *= free
-    of_other = np.zeros_like(of_disc)
-    of_other[:, -1] = free * of_object
-    slopes = np.concatenate([of_lit, of_disc, of_other], axis=2).astype(np.float32)
-    return reading.log_beliefs, slopes
+    def slopes_at(change: FloatArray) -> FloatArray:
+        """(n, K + 1, 6) of the log beliefs along each change."""
+        here = log_probabilities(change)
+        moved = [log_probabilities(change + by) for by in SMALL * np.eye(len(change))]
+        return np.stack([there - here for there in moved], axis=-1) / SMALL
 
+    change: FloatArray = np.zeros(2 * len(LAST_LAYER))
+    slopes = slopes_at(change)
+    # A change counts by what it does to beliefs, for the outputs differ in size.
+    penalty = prior_weight * ((slopes**2).mean(axis=(0, 1)) + LEAST_SPREAD**2)
 
-def _most_likely(
-    logs: FloatArray, slopes: FloatArray, label: IntArray, prior_weight: float
-) -> FloatArray:
-    """(D,) the change of the last layer that makes the labels (n,) likeliest."""
-    n, _, size = slopes.shape
-    step: FloatArray = np.zeros(size)
-    best, change, least = step, step, np.inf
-    for _ in range(60):
-        logits = logs + np.concatenate([slopes[rows] @ change for rows in _blocks(n)])
-        top = logits.max(axis=1, keepdims=True)
-        p = np.exp(logits - top)
-        total = p.sum(axis=1, keepdims=True)
-        p /= total
-        loss = float((top + np.log(total)).sum() - logits[np.arange(n), label].sum())
-        loss += 0.5 * prior_weight * float(change @ change)
-        if loss > least + 1e-9 * abs(least):  # far from the minimum Newton's step overshoots
+    def loss(change: FloatArray) -> float:
+        return float(penalty @ change**2 / 2 - log_probabilities(change)[every, label].sum())
+
+    least = loss(change)
+    for _ in range(MOST_STEPS):
+        weighted = slopes * np.exp(log_probabilities(change) / 2)[..., None]
+        information = np.einsum("nkd,nke->de", weighted, weighted) + np.diag(penalty)
+        gradient = slopes[every, label].sum(axis=0) - penalty * change
+        step = np.linalg.solve(information, gradient)
+        while (new := loss(change + step)) > least and np.abs(step).max() > SMALL:
             step = step / 2
-        else:
-            gained, least, best = least - loss, loss, change
-            if gained < 1e-7 * abs(loss):
-                break
-            gradient = -prior_weight * change
-            curvature = prior_weight * np.eye(size)
-            for rows in _blocks(n):
-                block, likely = slopes[rows], p[rows]
-                expected = np.einsum("nk,nkd->nd", likely, block)
-                gradient += block[np.arange(len(block)), label[rows]].sum(axis=0)
-                gradient -= expected.sum(axis=0)
-                weighted = (block * np.sqrt(likely)[..., None]).reshape(-1, size)
-                curvature += weighted.T @ weighted - expected.T @ expected
-            step = np.linalg.solve(curvature, gradient)
-        change = best + step
-    return best
+        if new > least - 1e-6 * abs(least):
+            break
+        change, least = change + step, new
+        slopes = slopes_at(change)
+    return _changed(built_in, change)
+
+
+def _changed(weights: Weights, change: FloatArray) -> Weights:
+    """The weights with other gains and biases of the last layer's outputs."""
+    changed = dict(weights)
+    by = zip(LAST_LAYER, *change.reshape(2, -1), strict=True)
+    for name, gain, bias in by:
+        changed[name] = (1 + gain) * weights[name]
+        changed[name][-1] += bias
+    return changed
 
 
 def _blocks(n: int) -> Iterator[slice]:
@@ -123,6 +108,6 @@ def _blocks(n: int) -> Iterator[slice]:
     return (slice(first, min(first + AT_ONCE, n)) for first in range(0, n, AT_ONCE))
 
 
-def part_of(samples: Samples, which: BoolArray | slice) -> Samples:
-    """The samples that an (n,) mask or a slice chooses."""
+def part_of(samples: Samples, which: BoolArray) -> Samples:
+    """The samples that an (n,) mask chooses."""
     return Samples(selected(samples.pictures, which), samples.label[which], samples.track[which])

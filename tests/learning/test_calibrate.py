@@ -67,9 +67,8 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
     truth = site / "three" / "gt.csv"
     tpr, fpr = strict(Path("built_in/three"), truth)
     learned_tpr, learned_fpr = strict(Path("learned/three"), truth)
-    # Faint symbols cost the built-in model a quarter of the frames (.73 / .000). In part they are
-    # learned (.80 / .000): beliefs are taken as linear.
-    assert learned_tpr > tpr + 0.05
+    # Faint symbols cost the built-in model a quarter of the frames (.73); learned it has .91.
+    assert learned_tpr > tpr + 0.12
     assert learned_fpr < fpr + 0.01
     # The model went into run.toml: the file itself is not needed again.
     Path("my.toml").unlink()

@@ -9,7 +9,7 @@ import pytest
 
 from sonarrec.landmarks import load_landmarks
 from sonarrec.learning.calibrate import _labelled
-from sonarrec.learning.fit import _linear, fit
+from sonarrec.learning.fit import fit
 from sonarrec.learning.samples import Samples, Tracks, label
 from sonarrec.recogniser.stage3.model_file import built_in_weights
 from sonarrec.recogniser.stage3.reader import LAST_LAYER, Pictures, Reader, Weights
@@ -51,26 +51,25 @@ def log_likelihood(weights: Weights, samples: Samples) -> float:
     return float(np.log(p[np.arange(len(samples.label)), samples.label]).mean())
 
 
-@pytest.mark.parametrize("name", LAST_LAYER)
-def test_slopes_are_those_of_a_small_step_of_the_last_layer(name):
-    """Of differences to a none of these, by which beliefs are told."""
-    pictures, step = random_pictures(3, 5), 1e-4
-    _, slopes = _linear(Reader(WEIGHTS, CODES), pictures)
-    start = sum(len(WEIGHTS[n]) for n in LAST_LAYER[: LAST_LAYER.index(name)])
-    for i in range(0, len(WEIGHTS[name]), 7):
-        logs = []
-        for by in (-step, step):
-            moved = WEIGHTS[name].copy()
-            moved[i] += by
-            logs.append(Reader({**WEIGHTS, name: moved}, CODES)(pictures).log_beliefs)
-        np.testing.assert_allclose(
-            slopes[:, :, start + i], (logs[1] - logs[0]) / (2 * step), rtol=0.02, atol=0.02
-        )
+def faint(gain: float, bias: float) -> Weights:
+    """Symbols give weaker log odds than the built-in reader takes them to give, and fewer."""
+    lit = WEIGHTS["lit"] * gain
+    lit[-1] += bias
+    return {**WEIGHTS, "lit": lit}
+
+
+def test_the_gain_and_bias_of_faint_symbols_are_learned():
+    """From 1,500 pictures that fit no longer, to a tenth: a standard error of both is .03."""
+    learned = fit([drawn(faint(0.5, -0.4), 1_500, 7)], WEIGHTS, CODES, prior_weight=1.0)
+    gain = learned["lit"][:-1] @ WEIGHTS["lit"][:-1] / (WEIGHTS["lit"][:-1] ** 2).sum()
+    bias = learned["lit"][-1] - gain * WEIGHTS["lit"][-1]
+    assert (gain, bias) == pytest.approx((0.5, -0.4), abs=0.1)
+    np.testing.assert_allclose(learned["lit"][:-1], gain * WEIGHTS["lit"][:-1])  # that alone
 
 
 @pytest.mark.slow
 def test_memory_of_learning_is_little_more_than_the_samples():
-    """8,000 samples are 12 MB, and what they say of each weight 16 MB, a few times over."""
+    """8,000 samples are 12 MB; what is read off them 5, and the fits of 500 to rotations 6."""
     samples = drawn(WEIGHTS, 8_000, 5)
     tracemalloc.start()
     fit([samples], WEIGHTS, CODES)
@@ -103,10 +102,10 @@ def test_a_prior_is_left_as_far_as_the_samples_ask():
 
 
 def test_samples_that_fit_leave_the_reader_as_it_is():
-    """Without a prior 99 weights would cost some 99 / (2 x 300) on other samples."""
+    """Without a prior six numbers would cost some 6 / (2 x 300) on other samples."""
     learned = fit([drawn(WEIGHTS, 300, 4)], WEIGHTS, CODES)
     held_out = drawn(WEIGHTS, 400, 8)
-    assert log_likelihood(learned, held_out) > log_likelihood(WEIGHTS, held_out) - 0.08
+    assert log_likelihood(learned, held_out) > log_likelihood(WEIGHTS, held_out) - 0.03
 
 
 def in_two_frames(

@@ -58,7 +58,7 @@ def drawn(landmark: int, turn: int, bright: float = 2.0, dark: float = -1.0) -> 
 def test_beliefs_are_those_of_the_formulas_written_out(seed: int) -> None:
     pictures = random_pictures(seed, 1)
     of_directions, of_object = READ.layers(pictures)
-    reading = READ.reading(of_directions, of_object)
+    reading = READ(pictures)
     lit = [float(d @ WEIGHTS["lit"]) for d in of_directions[0]]
     disc, other = (float(of_object[0] @ WEIGHTS[name]) for name in ("disc", "other"))
     scale = math.exp(WEIGHTS["scale"][0])
@@ -167,16 +167,6 @@ def test_a_direction_of_which_nothing_was_seen_says_nothing() -> None:
 def test_an_id_that_the_set_lacks_is_none_of_these(landmark: int) -> None:
     rest = [k for k in range(4) if k != landmark - 1]
     assert Reader(WEIGHTS, CODES[:, rest])(drawn(landmark, 4)).probabilities[0].argmax() == 3
-
-
-def test_expected_codes_are_the_mean_over_rotations_by_their_likelihood() -> None:
-    lit = READ(drawn(3, 7)).lit
-    expected = READ.expected_codes(lit)[0]
-    for k in range(4):
-        logs = [READ.scale * float(lit[0] @ code) for code in CODES[:, k]]
-        likely = np.exp(np.array(logs) - max(logs))
-        mean = sum(p * code for p, code in zip(likely, CODES[:, k], strict=True)) / likely.sum()
-        np.testing.assert_allclose(expected[k], mean, atol=1e-9)
 
 
 def test_the_last_layer_survives_its_file(tmp_path) -> None:

@@ -109,7 +109,14 @@ class Reader:
 
     def __call__(self, pictures: Pictures) -> Reading:
         """Read n pictures. Objects do not affect each other."""
-        return self.reading(*self.layers(pictures))
+        return self.judged(*self.last_layer(pictures))
+
+    def last_layer(self, pictures: Pictures) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, ANGLES), (n,) and (n,): l, D and O. Of a direction never seen l is exactly 0."""
+        of_directions, of_object = self.layers(pictures)
+        lit, disc, other = (self._weights[name] for name in LAST_LAYER)
+        results = of_directions @ lit, of_object @ disc, of_object @ other
+        return results[0].astype(float), results[1].astype(float), results[2].astype(float)
 
     def layers(self, pictures: Pictures) -> tuple[FloatArray, FloatArray]:
         """(n, ANGLES, C) and (n, H), what the last layer judges: each direction, and the object.
@@ -122,24 +129,13 @@ class Reader:
         seen = seen_directions(pictures)[..., None]
         return _with_ones(*of_directions) * seen, _with_ones(*of_object)
 
-    def reading(self, of_directions: FloatArray, of_object: FloatArray) -> Reading:
-        """What the last layer makes of the results of `layers`."""
-        w = self._weights
-        lit = (of_directions @ w["lit"]).astype(float)
-        disc, other = ((of_object @ w[name]).astype(float) for name in ("disc", "other"))
+    def judged(self, lit: FloatArray, disc: FloatArray, other: FloatArray) -> Reading:
+        """Beliefs by what `last_layer` read."""
         fit = self._fit(lit)
         ids = disc[:, None] + np.logaddexp.reduce(fit, axis=1) - np.log(ANGLES)
         free = disc + other - self.scale * np.logaddexp(0, -np.abs(lit)).sum(axis=1)
         logs = np.concatenate([ids, np.logaddexp(0, free)[:, None]], axis=1)
         return Reading(lit, free, np.round(logs, DECIMALS), *_rotation(fit))
-
-    def expected_codes(self, lit: FloatArray) -> FloatArray:
-        """(n, K, ANGLES) each ID's code, averaged over its rotations by their likelihood."""
-        fit = self._fit(lit)
-        likely = np.exp(fit - fit.max(axis=1, keepdims=True, initial=-np.inf))
-        likely /= likely.sum(axis=1, keepdims=True)
-        codes = self._codes.T.reshape(ANGLES, self._ids, ANGLES)
-        return np.asarray(np.einsum("nrk,rka->nka", likely, codes))
 
     def _fit(self, lit: FloatArray) -> FloatArray:
         """(n, ANGLES, K) log likelihood of what is read, by rotation and ID."""
