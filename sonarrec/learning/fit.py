@@ -66,9 +66,9 @@ def fit(
 
     def slopes_at(change: FloatArray) -> FloatArray:
         """(n, K + 1, 6) of the log beliefs along each change."""
-        here = log_probabilities(change)
+        log_p = log_probabilities(change)
         moved = [log_probabilities(change + by) for by in SMALL * np.eye(len(change))]
-        return np.stack([there - here for there in moved], axis=-1) / SMALL
+        return np.stack([other - log_p for other in moved], axis=-1) / SMALL
 
     change: FloatArray = np.zeros(2 * len(LAST_LAYER))
     slopes = slopes_at(change)
