@@ -36,14 +36,14 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1056,
-    "cli": 2990,
+    "cli": 3003,
     "drawing": 681,
     "evaluation": 3420,
     "geometry": 418,
     "learning": 539,
     "mapping": 1400,
     "overlays": 624,
-    "readers": 6295,
+    "readers": 6390,
     "recogniser": 5816,
     "reports": 2330,
     "results": 1991,
