@@ -10,11 +10,10 @@ import functools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
@@ -227,18 +226,18 @@ class Resampling:
                 image = np.asarray(filled, np.uint8)
             size = (image.shape[1] // self._block[1], image.shape[0] // self._block[0])
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        if self._weights.size < WIDE:
-            return np.asarray(_remapped(image, self._columns, self._weights), np.uint8)
         # Pixels outside a fan cost as much as those inside, and a wide fan's corners are many.
         resampled = np.zeros(self._weights.shape, np.uint8)
-        for part in self._filled:
-            resampled[part] = _remapped(image, self._columns[part], self._weights[part])
+        for part in self._filled if resampled.size >= WIDE else [(slice(None), slice(None))]:
+            cv2.remap(
+                image,
+                self._columns[part],
+                self._weights[part],
+                cv2.INTER_LINEAR,
+                dst=resampled[part],
+                borderMode=cv2.BORDER_CONSTANT,
+            )
         return resampled
-
-
-def _remapped(image: ByteImage, columns: npt.NDArray[Any], weights: npt.NDArray[Any]) -> Any:
-    """The image resampled by a part of a Resampling's table."""
-    return cv2.remap(image, columns, weights, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
 
 
 class PolarToFan(PolarImages):
