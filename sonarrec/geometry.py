@@ -26,6 +26,9 @@ MAX_SIDE = 2**15 - 2  # of the images that cv2.remap can read and make
 # slant range covers several pixels of floor.
 STEEPEST = 1.05
 BEYOND = -2  # column and row of a pixel outside every image, like its neighbours; it becomes 0
+# Images of WIDE pixels or more are resampled AT_ONCE rows at a time, from their first pixel in the
+# fan to their last. In smaller ones the calls would cost more than the pixels.
+WIDE, AT_ONCE = 2**18, 32
 
 
 def fan_for_image(sonar: Geometry, rows: int, columns: int) -> Fan:
@@ -190,6 +193,7 @@ class Resampling:
         self._block = block
         self._columns = np.full((*shape, 2), BEYOND, np.int16)
         self._weights = np.zeros(shape, np.uint16)
+        self._filled: list[tuple[slice, slice]] = []  # (rows, columns) that hold filled pixels
 
     def fill(self, band: slice, column: FloatArray, row: FloatArray, seen: BoolArray) -> None:
         """Set where each pixel of some rows comes from.
@@ -204,6 +208,13 @@ class Resampling:
             cv2.CV_16SC2,
         )
         self._columns[band][~seen] = BEYOND
+        for first in range(band.start, min(band.stop, len(self._columns)), AT_ONCE):
+            rows = slice(first, min(first + AT_ONCE, band.stop))
+            some = np.flatnonzero(
+                seen[rows.start - band.start : rows.stop - band.start].any(axis=0)
+            )
+            if len(some):
+                self._filled.append((rows, slice(some[0], some[-1] + 1)))
 
     def __call__(self, image: ByteImage) -> ByteImage:
         """An image (uint8) resampled, (rows, columns) uint8."""
@@ -215,10 +226,18 @@ class Resampling:
                 image = np.asarray(filled, np.uint8)
             size = (image.shape[1] // self._block[1], image.shape[0] // self._block[0])
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        resampled = cv2.remap(
-            image, self._columns, self._weights, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-        )
-        return np.asarray(resampled, np.uint8)
+        # Pixels outside a fan cost as much as those inside, and a wide fan's corners are many.
+        resampled = np.zeros(self._weights.shape, np.uint8)
+        for part in self._filled if resampled.size >= WIDE else [(slice(None), slice(None))]:
+            cv2.remap(
+                image,
+                self._columns[part],
+                self._weights[part],
+                cv2.INTER_LINEAR,
+                dst=resampled[part],
+                borderMode=cv2.BORDER_CONSTANT,
+            )
+        return resampled
 
 
 class PolarToFan(PolarImages):

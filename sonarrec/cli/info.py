@@ -48,6 +48,11 @@ HEAD = "# Written by sonarrec info"
     is_flag=True,
     help="Read the summary and the first frames only; do not check every frame and checksum.",
 )
+@in_input(
+    "--all every",
+    is_flag=True,
+    help="Decode all images of a folder, not 200 of them.",
+)
 @options.reading(geometry=True)
 @options.landmarks
 @in_output(
@@ -69,6 +74,7 @@ def info(
     recursive: bool,
     from_file: IO[str] | None,
     quick: bool,
+    every: bool,
     reading: dict[str, Any],
     landmarks: str | None,
     preview: Path | None,
@@ -78,9 +84,8 @@ def info(
 ) -> None:
     """Show what is in LOG, whether it is complete, and how `run` would read it.
 
-    LOG is as in `sonarrec run`. Every frame is read and every checksum compared to see how many
-    frames can be used; --quick leaves that out. An incomplete geometry is no fault. Exit code 3:
-    part of the log cannot be used; 1: none of it can.
+    LOG is as in `sonarrec run`. It is checked which frames can be used, unless --quick is given.
+    An incomplete geometry is no fault. Exit code 3: part of the log cannot be used; 1: none can.
 
     \b
     Examples:
@@ -111,7 +116,13 @@ def info(
         try:
             with progress(quiet) as step:
                 about = describe(
-                    item.path, **reading, up_to=item.up_to, quick=quick, observe=step, advise=of_log
+                    item.path,
+                    **reading,
+                    up_to=item.up_to,
+                    quick=quick,
+                    every=every,
+                    observe=step,
+                    advise=of_log,
                 )
         except SonarrecError as error:
             print_notes([str(error)])
@@ -247,6 +258,8 @@ def _images_lines(images: Images, log: Path, given: Sequence[str]) -> list[str]:
     else:
         once = ", once the geometry is complete" if images.lacks else ""
         frames = f"{images.usable} of {images.frames} can be used{once}"
+        if images.decoded != images.frames:
+            frames += f"; {images.decoded} of {images.frames} decoded (--all: every one)"
     size = ""
     if images.rows is not None:
         size = f"{images.columns} x {images.rows}, {images.pixels}, {images.layout}"

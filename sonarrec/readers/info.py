@@ -11,6 +11,7 @@ from typing import Any
 
 from sonarrec.errors import Advice, Diagnostics, SonarrecError, UsageError, name_as_text
 from sonarrec.geometry import floor_depth
+from sonarrec.readers.containers.images import ImageFiles
 from sonarrec.readers.log import FIRST_FRAMES, Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.raw import RawLog, StoredFrame
@@ -20,6 +21,9 @@ from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]
 Advise = Callable[[Log, Sequence[Frame]], Iterable[Advice]]
+SAMPLE, TOGETHER = 200, FIRST_FRAMES
+"""Images of a folder that are decoded, and how many of them follow each other: so equal neighbours
+are seen."""
 MOST_TOPICS = 8
 """Image topics of a log that are read when none is chosen; each takes a pass over the log."""
 
@@ -65,6 +69,9 @@ class Images:
     """Number of frames; None if the container does not say."""
     usable: int | None = 0
     """How many `sonarrec run` can use once the geometry is complete; None if they were not read."""
+    decoded: int | None = 0
+    """How many were decoded, or could not be. Of the others in a folder of images only header and
+    end were looked at. None if they were not read."""
     rows: int | None = None
     columns: int | None = None
     pixels: str | None = None
@@ -108,7 +115,7 @@ class LogInfo:
     size_bytes: int
     """Of all files."""
     checked: bool
-    """Whether every frame was read and every checksum compared."""
+    """Whether every frame was looked at and every checksum compared."""
     container: Container | None
     """None outside of MCAP and bags."""
     images: list[Images]
@@ -134,6 +141,7 @@ def describe(
     sonar_file: Path | None = None,
     topic: str | None = None,
     quick: bool = False,
+    every: bool = False,
     observe: Observe | None = None,
     up_to: Path | None = None,
     advise: Advise | None = None,
@@ -141,7 +149,8 @@ def describe(
     """Find out what is in a log: images, a video, an MCAP, a ROS bag or a sonar's own file.
 
     sonar, sonar_file: the geometry, as for `open_log`. topic: only this channel. quick: read only
-    the first frame, instead of reading and checking all. observe: called at each frame with the
+    the first frame, instead of reading and checking all. every: decode every image of a folder,
+    not a sample of SAMPLE. observe: called at each frame with the
     number of frames, or None if that is unknown. up_to: the highest folder searched for sonar.toml.
     advise: called with each log whose geometry is complete, for its notes.
     Raises SonarrecError if there is no log or its geometry cannot be read, UsageError if there is
@@ -166,15 +175,34 @@ def describe(
         topics = sorted(name for name, _ in counts.most_common(MOST_TOPICS))
     for name in [topic] if topic is not None else topics:
         of_topic = replace(source, diagnostics=Diagnostics(source.path))
-        images.append(_images(of_topic, of_topic.open(name), stated, flags, quick, observe, advise))
+        raw = of_topic.open(name)
+        if isinstance(raw, ImageFiles) and not every:
+            raw.sample = _sample(len(raw.files))
+        images.append(_images(of_topic, raw, stated, flags, quick, observe, advise))
         faults += [f for f in of_topic.diagnostics.faults if f not in faults]
     if len(images) < len(all_topics) and topic is None:
         more = f"{len(all_topics)} image topics, of which {len(images)} are read here"
         images[0].notes.insert(0, f"{more}, those with most messages; --topic reads another")
-    size = sum(file.stat().st_size for file in source.files if file.exists())
+    size = sum(map(_size, source.files))
     kind = "images" if source.reader.kind == "image" else source.reader.kind
     name, files = name_as_text(source.path), len(source.files)
     return LogInfo(name, kind, files, size, not quick, container, images, faults)
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
+
+
+def _sample(count: int) -> set[int] | None:
+    """Numbers of SAMPLE frames, spread evenly, TOGETHER at a time; None: all."""
+    if count <= SAMPLE:
+        return None
+    steps = SAMPLE // TOGETHER - 1
+    firsts = [n * (count - TOGETHER) // steps for n in range(steps + 1)]
+    return {first + n for first in firsts for n in range(TOGETHER)}
 
 
 def _container(source: Source) -> Container:
@@ -226,12 +254,14 @@ def _images(
     complete = sonar.updated(sonar_from_table({k: stand_ins[k] for k in lacks}, "stand-ins"))
     images = Images(raw.topic, lacks=lacks, polar_messages=raw.polar)
     sizes, types, times = Counter[tuple[int, ...]](), Counter[str](), list[int]()
-    count = usable = 0
+    count = usable = decoded = 0
     rate = Rate()
 
     def inspect(frame: StoredFrame) -> None:
-        nonlocal count
+        nonlocal count, decoded, usable
         count += 1
+        decoded += not frame.complete
+        usable += frame.complete
         if frame.time_ns is not None:
             rate.add(frame.time_ns)
             times[1:] = [frame.time_ns]  # the first and the last
@@ -249,12 +279,14 @@ def _images(
                 complete.complete(where)
             for frame in islice(log, 1 if quick else None):
                 usable += 1
+                if isinstance(raw, ImageFiles):
+                    raw.used(frame.index)
                 first += [frame] if len(first) < FIRST_FRAMES else []
         except SonarrecError as error:
             images.problems = [] if log.diagnostics.problems else [str(error)]
     images.problems = log.diagnostics.skipped or images.problems
     images.frames = raw.frame_count if quick else count
-    images.usable = None if quick else usable
+    images.usable, images.decoded = (None, None) if quick else (usable, decoded)
     for (rows, columns), _ in sizes.most_common(1):
         images.rows, images.columns, images.pixels = rows, columns, types.most_common(1)[0][0]
     if times and not quick:

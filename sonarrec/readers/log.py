@@ -132,6 +132,10 @@ class Log:
         for index, stored in islice(numbered, span[1]):
             if stored.is_lost or (used and (index < span[0] or index in passed_over)):
                 continue
+            if stored.complete:  # only `info` asks for such, and of the others what their times say
+                used += 1
+                stretch += breaks.add(index, self._time_of(index, stored), stored.stamps)
+                continue
             # Grey pixels in the fan, and the time.
             try:
                 frame = self._frame(index, stored)

@@ -64,6 +64,8 @@ class StoredFrame:
     """The geometry that a polar ping states."""
     white: int | None = None
     """The pixel value that its file calls white; None: the largest of the type."""
+    complete: bool = False
+    """Whether its file looks complete and like others that were used, and so was not decoded."""
 
     @property
     def has_content(self) -> bool:
@@ -73,7 +75,7 @@ class StoredFrame:
     @property
     def is_lost(self) -> bool:
         """Whether it needs no line of its own: it was passed over, or lost together with others."""
-        return self.pixels is None and self.problem is None
+        return self.pixels is None and self.problem is None and not self.complete
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ correlation (Hough) map above a threshold are candidates.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -44,6 +45,7 @@ LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 LARGE, SEARCHED, LEAST_RADIUS = 2**16, 2, 4.5
 COARSE_SHARE, LEAST_SHARE = 0.77, 0.63
 NEIGHBOURHOOD = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
+TINY = 1e-6  # disc diameters: a rounding error puts no near peak two squares away
 # At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
 # or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
 # grow in proportion, up to MOST_FACTOR. All measured kinds of scene have smaller floors.
@@ -114,16 +116,21 @@ class CandidateSelector:
     def _suppress_neighbours(self, positions: FloatArray, most: int) -> list[int]:
         """Indices of the peaks, best first, that are not too near a better one; `most` of them."""
         across, along = self._diameter
+        least = self._config.separation
         kept: list[int] = []
-        better: list[tuple[float, float]] = []
+        # The better peaks of every square, a separation wide, and of its neighbours: only these can
+        # be too near.
+        better = defaultdict[tuple[int, int], list[tuple[float, float]]](list)
         # Few are kept, so plain numbers are faster than arrays.
-        for i, (x, y) in enumerate(positions.tolist()):
-            if all(
-                math.hypot((x - u) / across, (y - v) / along) >= self._config.separation
-                for u, v in better
-            ):
+        squares = np.floor(positions / np.multiply(self._diameter, least + TINY)).astype(int)
+        rows = zip(positions.tolist(), squares.tolist(), strict=True)
+        for i, ((x, y), (column, row)) in enumerate(rows):
+            near = better.get((column, row), ())
+            if all(math.hypot((x - u) / across, (y - v) / along) >= least for u, v in near):
                 kept.append(i)
-                better.append((x, y))
+                for c in (column - 1, column, column + 1):
+                    for r in (row - 1, row, row + 1):
+                        better[c, r].append((x, y))
                 if len(kept) == most:
                     break
         return kept
@@ -318,7 +325,8 @@ class RingScore:
         """Contrast is in standard deviations of the relief around each pixel."""
         step, shape = self._step, self._inside.shape
         grey = levels.half if step == SEARCHED else _padded_to_blocks(image) * self._inside
-        relief = grey - upsample(levels.mean, shape, step) * self._inside
+        relief = upsample(levels.mean, shape, step) * self._inside
+        np.subtract(grey, relief, out=relief)
         score = self._correlate(relief)
         score *= self._scaled_gain
         score /= upsample(levels.sigma, shape, step)
@@ -332,14 +340,10 @@ class RingScore:
         around = self._surroundings
         # Whole blocks may exceed the image.
         pixel = np.minimum(np.rint(positions).astype(int), np.array(image.shape[::-1]) - 1)
-        patches = np.empty((2, len(positions), self._side, self._side), np.uint8)
-        padded = self._padded(image)
-        for n, (column, row) in enumerate(pixel.tolist()):
-            part = slice(row, row + self._side), slice(column, column + self._side)
-            patches[0, n], patches[1, n] = padded[part], self._pixels[part]
-        grey, inside = patches.reshape(2, len(positions), self._side**2)
+        grey, inside = (self._patches(of, pixel) for of in (self._padded(image), self._pixels))
         # The surroundings' level is nearly even within a patch, and the kernel sums to 0.
-        relief = (grey - around.values_at(levels.mean, pixel)[:, None]) * inside
+        relief = grey - around.values_at(levels.mean, pixel)[:, None]
+        relief *= inside
         contrast = (relief @ self._patch).reshape(-1, 3, 3)
         lines = np.stack([contrast[:, 1], contrast[:, :, 1]])  # along a row, and down a column
         before, middle, after = np.moveaxis(lines, 2, 0)
@@ -350,6 +354,11 @@ class RingScore:
         scores = contrast.max(axis=(1, 2), initial=0) * gain
         # Rounded, since the last digits of a product depend on the processor.
         return np.round(pixel + shift.T, 4), np.round(scores, 6)
+
+    def _patches(self, padded: ByteImage, pixel: IndexArray) -> ByteImage:
+        """(n, side^2) the patches of (n, 2) pixels, from `_padded`."""
+        every = np.lib.stride_tricks.sliding_window_view(padded, (self._side, self._side))
+        return every[pixel[:, 1], pixel[:, 0]].reshape(len(pixel), self._side**2)
 
     def _padded(self, image: ByteImage) -> ByteImage:
         """An image with room for the patch of every pixel."""

@@ -6,7 +6,6 @@ keeps what a person decides, and writes gt.csv.
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 from collections import defaultdict
@@ -38,6 +37,7 @@ from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, own_file
 from sonarrec.records import VERSION, Frame
+from sonarrec.reports.frames import as_jpeg
 from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
@@ -61,7 +61,7 @@ from sonarrec.truth.table import FILLED_IN, TRACKED, TRUTH_FILE, read_cells, rea
 
 MOST_BYTES = 24_900_000  # of a page
 ROW_BYTES, POSE_BYTES = 250, 80  # at most, of a row, and of a frame without its image
-QUALITIES = (85, 70, 55, 40)  # of JPEG, which is coded a hundred times as fast as WebP
+QUALITIES = (85, 70, 55, 40)  # of JPEG
 PICTURE_PX = 64  # of a pass
 SHOWN = 1.3  # radii from the middle of such a picture to its edge
 MOST_ADDED = 12  # frames in one
@@ -459,14 +459,14 @@ class _Frames:
                 continue
             if not self.images:
                 # The first frame decides the quality, the best with which all fit in, and the step.
-                sizes = {q: len(wanted) * len(_as_jpeg(frame.image, q)) for q in QUALITIES}
+                sizes = {q: len(wanted) * len(as_jpeg(frame.image, q)) for q in QUALITIES}
                 quality = next((q for q in QUALITIES if sizes[q] <= room), QUALITIES[-1])
                 while sizes[quality] / step > 1.1 * max(room, 1) and step < len(wanted):
                     step *= 2
                 kept = {n for n in wanted if rank[n] % step == 0}
                 passed_over |= {*results.frame.tolist()} - kept - {*to_add}
             if rank[frame.index] % step == 0:
-                self.images[frame.index] = _as_jpeg(frame.image, quality)
+                self.images[frame.index] = as_jpeg(frame.image, quality)
                 held += len(self.images[frame.index])
             while held > room and len(self.images) > 1:
                 step *= 2
@@ -475,7 +475,7 @@ class _Frames:
         for current in passes:
             low, high = np.percentile(sums[current.id], (1, 99))
             levels = np.clip(255 * (sums[current.id] - low) / max(high - low, 1), 0, 255)
-            current.picture = _as_jpeg(levels.astype(np.uint8), QUALITIES[0])
+            current.picture = as_jpeg(levels.astype(np.uint8), QUALITIES[0])
         seen |= {*results.frame.tolist()}  # the run could read those that were passed over
         last = log.frame_count or max(seen) + 1
         self.numbers = range(span[0], min(last, span[1] or last))
@@ -484,12 +484,6 @@ class _Frames:
 
 def _in(number: int, spans: Sequence[tuple[int, int | None]]) -> bool:
     return any(first <= number and (end is None or number < end) for first, end in spans)
-
-
-def _as_jpeg(image: ByteImage, quality: int) -> str:
-    coded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    assert coded
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def _upright(frame: Frame, row: _Row, orientation_deg: float, radius_m: float) -> ByteImage:

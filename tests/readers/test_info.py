@@ -6,9 +6,11 @@ import json
 import re
 import shutil
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -197,6 +199,63 @@ def test_folder_glob_and_video(tmp_path: Path) -> None:
     assert (found["kind"], found["images"][0]["usable"]) == ("video", 20)
     assert found["images"][0]["rate_hz"] == pytest.approx(10, rel=0.01)
     assert found["images"][0]["pixels"] == "3 x uint8"
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
+def test_of_a_long_folder_a_sample_is_decoded_and_damage_at_either_end_is_named(
+    suffix: str, tmp_path: Path
+) -> None:
+    """Whatever `--all` names, but for what is wrong in the middle of a file alone."""
+    folder = image_folder(tmp_path / "log", frames(420, 30, 24))
+    names = [f"frame{n}{suffix}" for n in range(420)]
+    for png in folder.glob("*.png"):
+        assert cv2.imwrite(str(png.with_suffix(suffix)), cv2.imread(str(png)) // 2)
+        if suffix != ".png":
+            png.unlink()
+
+    def change(number: int, how: Callable[[bytes], bytes]) -> None:
+        (folder / names[number]).write_bytes(how((folder / names[number]).read_bytes()))
+
+    (whole,) = table(folder)["images"]
+    assert (whole["usable"], whole["frames"], whole["problems"]) == (420, 420, [])
+    assert whole["decoded"] == (420 if suffix == ".bmp" else 200)
+    assert table(folder, "--all")["images"][0] == whole | {"decoded": 420}
+    change(7, lambda data: data[: len(data) // 2])
+    change(8, lambda data: data + bytes(40))  # as some recorders pad their files: no fault
+    change(9, lambda data: data[: -len(data) // 4] + bytes(len(data) // 4))
+    change(10, lambda data: bytes(16) + data[16:])
+    change(11, lambda _: b"")
+    assert cv2.imwrite(str(folder / names[12]), np.full((31, 24), 9, np.uint8))
+    (folder / names[13]).unlink()
+    (folder / names[13]).symlink_to("nowhere")
+    (found,), (every,) = (table(folder, *how, code=3)["images"] for how in ([], ["--all"]))
+    assert found["problems"] == every["problems"]
+    assert (found["usable"], found["frames"]) == (every["usable"], every["frames"])
+    named = {line.partition(":")[0] for line in found["problems"]}
+    assert {names[n] for n in (7, 10, 11, 12, 13)} <= named
+    assert names[8] not in named
+
+
+def test_frames_unlike_the_first_are_all_named(tmp_path: Path) -> None:
+    """Though they are the most, and whole."""
+    folder = image_folder(tmp_path / "log", frames(300, 30, 24))
+    for n in range(5, 300):
+        assert cv2.imwrite(str(folder / f"frame{n}.png"), np.full((31, 25), n % 250, np.uint8))
+    (found,) = table(folder, code=3)["images"]
+    assert (found["usable"], found["frames"], found["decoded"]) == (5, 300, 300)
+
+
+def test_pauses_are_found_between_images_that_are_not_decoded(tmp_path: Path) -> None:
+    folder = image_folder(tmp_path / "log", frames(300, 30, 24))
+    for n in range(300):
+        time = n / 4 + 100 * (n > 107)
+        name = f"20261120T10{int(time // 60):02d}{time % 60:06.3f}.png"
+        (folder / f"frame{n}.png").rename(folder / name)
+    (found,), (every,) = (table(folder, *how)["images"] for how in ([], ["--all"]))
+    for key in ("usable", "start_ns", "end_ns", "rate_hz"):
+        assert found[key] == every[key], key
+    pauses = [[note for note in i["notes"] if "1 pause" in note] for i in (found, every)]
+    assert pauses[0] == pauses[1] != []
 
 
 def test_exit_codes_of_several_logs(tmp_path: Path) -> None:

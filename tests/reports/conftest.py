@@ -21,16 +21,16 @@ from tests.support.pages import without_log
 @pytest.fixture(scope="session", autouse=True)
 def _encoded_once() -> Iterator[None]:
     """A process encodes each picture once: it takes longest, and most pages show the sample."""
-    as_webp = frames.as_webp
+    as_jpeg = frames.as_jpeg
 
     @cache
     def encoded(data: bytes, shape: tuple[int, ...], quality: int) -> str:
-        return as_webp(np.frombuffer(data, np.uint8).reshape(shape), quality)
+        return as_jpeg(np.frombuffer(data, np.uint8).reshape(shape), quality)
 
     def once(image: ByteImage, quality: int) -> str:
         return encoded(image.tobytes(), image.shape, quality)
 
-    with patch.object(frames, "as_webp", once):
+    with patch.object(frames, "as_jpeg", once):
         yield
 
 

@@ -6,7 +6,7 @@ import os
 import re
 import stat
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,7 +14,13 @@ import numpy as np
 
 from sonarrec.errors import Diagnostics
 from sonarrec.readers.containers.times_in_names import date_in, times_in_names
-from sonarrec.readers.decode.pixels import decode_image, pgm_maxval
+from sonarrec.readers.decode.pixels import (
+    END_BYTES,
+    HEAD_BYTES,
+    decode_image,
+    kind_if_complete,
+    pgm_maxval,
+)
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
 from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, date_text
 from sonarrec.tables import natural_order
@@ -127,12 +133,17 @@ def _kinds(files: Iterable[Path]) -> tuple[str, str, str] | None:
 
 class ImageFiles(RawLog):
     """One image file a frame, in the order of the names. Times in the names, as `times_in_names`
-    finds them, are the frames' times."""
+    finds them, are the frames' times.
+
+    sample: numbers of the frames that are decoded in any case. Of another, header and end are read;
+    it is decoded unless both are as those of a frame that was used. None: all are decoded."""
 
     def __init__(self, files: Sequence[Path], diagnostics: Diagnostics) -> None:
         super().__init__(diagnostics)
         self.files = files if isinstance(files, ImagePaths) else ImagePaths(files)
         self.frame_count = len(self.files)
+        self.sample: Container[int] | None = None
+        self._kinds, self._decoded = set[bytes](), dict[int, bytes]()
         stems = [file.stem for file in self.files]
         self._named = self.files.times
         self._times = None if self._named is None else self._named.ns[self._named.order]
@@ -143,6 +154,10 @@ class ImageFiles(RawLog):
                 f"{table.name} has a line for each image and is not used; frames have times if "
                 "the names of the images have them"
             )
+
+    def used(self, number: int) -> None:
+        """Tell that a frame could be used, and so can others of its kind if they are whole."""
+        self._kinds |= {*filter(None, [self._decoded.pop(number, None)])}
 
     def _sibling_table(self) -> Path | None:
         """A table or text in the folder of the images, of as many lines as images or one more."""
@@ -197,12 +212,27 @@ class ImageFiles(RawLog):
             if number in self.passed_over:
                 yield StoredFrame(file.name, time_ns)
                 continue
+            if self.sample is not None and (kind := _kind(file)) is not None:
+                if number not in self.sample and kind in self._kinds:
+                    yield StoredFrame(file.name, time_ns, complete=True)
+                    continue
+                self._decoded[number] = kind
             try:
                 pixels = decode_image(data := _contents(file))
             except UnusableError as error:
                 yield StoredFrame(file.name, time_ns, problem=str(error))
             else:
                 yield StoredFrame(file.name, time_ns, pixels, white=pgm_maxval(data))
+
+
+def _kind(file: Path) -> bytes | None:
+    """As `kind_if_complete`; also None for a file that cannot be read, or is too large."""
+    with suppress(OSError), file.open("rb", buffering=0) as opened:
+        head, size = opened.read(HEAD_BYTES), os.fstat(opened.fileno()).st_size
+        if END_BYTES < size <= MAX_FILE_BYTES:
+            opened.seek(size - END_BYTES)
+            return kind_if_complete(head, opened.read(END_BYTES))
+    return None
 
 
 def _contents(file: Path) -> np.ndarray:

@@ -58,6 +58,8 @@ def written(file: BinaryIO) -> bytes:
 
 
 _JPEG = b"\xff\xd8"
+_JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # segments that state size and colours
+_JPEG_EXIF = 0xE1
 _EXTRA = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 _IN_HEAD = re.compile(rb"Corrupt JPEG data: \d+ extraneous bytes before marker 0x(?:[^d].|d[abd])")
 
@@ -112,6 +114,31 @@ def _plain_png(data: memoryview) -> np.ndarray | None:
         return np.asarray(decode_image_png_u8(bytes(data), (rows, columns), "mono"))[:, :, 0]
     except Exception:  # it has no narrower type
         return None
+
+
+_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+_JPEG_END = b"\xff\xd9"
+HEAD_BYTES, END_BYTES = 1024, len(_PNG_END)
+
+
+def kind_if_complete(head: bytes, end: bytes) -> bytes | None:
+    """What the header of an image says of its pixels (size, bits, colours), if its end is there.
+
+    head, end: its first HEAD_BYTES and last END_BYTES. None where only decoding it can tell: it is
+    cut or damaged there, neither PNG nor JPEG, or may be rotated by EXIF data.
+    """
+    if head.startswith(_PNG) and end == _PNG_END:
+        return head[: len(_PNG) + _PNG_CHUNK.size + _PNG_HEADER.size + 4]  # with its checksum
+    if head.startswith(_JPEG) and end.endswith(_JPEG_END):
+        position = len(_JPEG)
+        while (part := head[position : position + 4]) and len(part) == 4 and part[0] == 0xFF:
+            after = position + 2 + int.from_bytes(part[2:], "big")
+            if part[1] in _JPEG_FRAMES:
+                return head[position:after] if after <= len(head) else None
+            if part[1] == _JPEG_EXIF:
+                return None
+            position = after
+    return None
 
 
 _PGM = re.compile(rb"P[25](?:\s|#.*\n)+\d+(?:\s|#.*\n)+\d+(?:\s|#.*\n)+(\d{1,5})\s")
