@@ -16,18 +16,26 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 IndexArray = npt.NDArray[np.intp]
 
+Columns = dict[str, npt.NDArray[Any]]
+"""By name, (n, ...) each."""
+
 
 class Table:
-    """Rows with named columns of one length: `of["x"]` is a column, `of[mask]` some of the rows.
+    """Rows with named columns of one length: `of["x"]` is a column, `of[rows]` some of the rows.
 
     For what is done with each log; pandas takes milliseconds for what takes microseconds here.
     """
 
     def __init__(self, **columns: npt.ArrayLike) -> None:
-        """columns: (n,) each; a single value fills its column."""
+        """columns: (n, ...) each; a single value fills its column."""
         arrays = {name: np.asarray(column) for name, column in columns.items()}
-        shape = np.broadcast_shapes(*(array.shape for array in arrays.values()))
-        self.columns = {name: np.broadcast_to(array, shape) for name, array in arrays.items()}
+        rows = np.broadcast_shapes(*{array.shape[:1] for array in arrays.values()})
+        self.columns = {
+            name: array
+            if array.shape[:1] == rows
+            else np.broadcast_to(array, (*rows, *array.shape[1:]))
+            for name, array in arrays.items()
+        }
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
-    from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage, IntArray
+    from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 
 # Stated here, because looking it up in the installed package takes longer than loading click.
 VERSION = "0.2.0.dev0"
@@ -162,28 +162,6 @@ class Selection:
     step: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Groups:
-    """Stage 2: the particle groups (tracks) in view after one frame, by rising number."""
-
-    numbers: IntArray
-    """(n,) int, stable over frames."""
-    positions: FloatArray
-    """(n, 2) float, (column, row) in plane pixels."""
-    spread: FloatArray
-    """(n, 2) standard deviation per axis in disc diameters."""
-    existence: FloatArray
-    """(n,) 0 to 1."""
-    sight_deg: FloatArray
-    """(n,) by how many degrees, counter-clockwise seen from above, the line of sight to the object
-    has rotated over the floor since the track began; 0 if the sonar only pans."""
-    in_view: BoolArray
-    """(n,) whether enough of the disc is inside the fan (continuity.least_in_view); one that comes
-    in shows less at first."""
-    remembered: IntArray
-    """(m,) numbers of those that left the view and may return."""
-
-
 def follows(method: str) -> bool:
     """Whether a method's object numbers mean the same object from one frame to the next."""
     return method.partition(":")[0] != "smi"
@@ -221,11 +199,12 @@ class Estimate:
     """range_sigma_m, bearing_sigma_deg, orientation_sigma_deg: standard errors, NaN if the method
     has none."""
     sight_deg: float = 0.0
-    """As in Groups."""
+    """By how many degrees, counter-clockwise seen from above, the line of sight to the object has
+    rotated over the floor since its track began; 0 if the sonar only pans."""
     episode: int = 0
-    """As in Evidence."""
+    """A track that comes back into view and looks different begins a new episode."""
     in_view: bool = True
-    """As in Groups."""
+    """Whether enough of the disc is inside the fan (continuity.least_in_view)."""
     enough_evidence: bool = True
     """As in Beliefs. This, sight_deg, episode and in_view are not written."""
     read: str = ""

@@ -44,7 +44,7 @@ MOST_LINES = {
     "mapping": 1400,
     "overlays": 624,
     "readers": 6390,
-    "recogniser": 5821,
+    "recogniser": 5677,
     "reports": 2324,
     "results": 1991,
     "runs": 1626,

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined
+from sonarrec.arrays import BoolArray, FloatArray, Table, stacked
 from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, rounded_steps
 from sonarrec.recogniser.stage3.smi import Identification
-from sonarrec.records import Estimate, Groups
+from sonarrec.records import Estimate
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.
@@ -43,22 +43,20 @@ class Estimates:
     def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
         self._config, self._plane, self._ids = config, plane, landmarks.ids
 
-    def of_groups(
-        self, method: str, groups: Sequence[Groups], episodes: IntArray, beliefs: Beliefs
-    ) -> list[Estimate]:
-        """The framework's estimates of the groups of some frames, n in all.
+    def of_tracks(self, method: str, frames: Sequence[Table], beliefs: Beliefs) -> list[Estimate]:
+        """The framework's estimates of the tracks of some frames, n in all.
 
         The score is the belief in the ID. Where objects are compared, one that loses its ID to
-        another has score 0. episodes: (n,) as in Evidence.
+        another has score 0.
         """
         _, scores = likeliest(beliefs.probabilities)
         if self._config.features.decide == "comparison":
-            ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
+            ends = np.cumsum([len(frame) for frame in frames])[:-1]
             won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
             scores = np.where(won, scores, 0.0)
             beliefs = replace(beliefs, enough_evidence=beliefs.enough_evidence & won)
         least = self._config.features.declare
-        return self._estimates(method, joined(groups), episodes, beliefs, scores, least)
+        return self._estimates(method, stacked(frames), beliefs, scores, least)
 
     def of_candidates(
         self,
@@ -71,38 +69,28 @@ class Estimates:
 
         positions, scores: of each frame's candidates, as in Selection. identity: of all, n.
         """
-        n = len(identity.rotation)
-        objects = Groups(
-            numbers=np.concatenate([np.arange(len(p)) for p in positions]),
-            positions=np.concatenate(positions),
-            spread=np.full((n, 2), np.nan),
+        objects = Table(
+            number=np.concatenate([np.arange(len(p)) for p in positions]),
+            position=np.concatenate(positions),
+            spread=np.full((len(identity.rotation), 2), np.nan),
             existence=np.concatenate(scores),
-            sight_deg=np.zeros(n),
-            in_view=np.ones(n, bool),
-            remembered=np.empty(0, np.int64),
+            sight_deg=0.0,
+            shown=True,
+            episode=0,
         )
-        episodes, least = np.zeros(n, np.int64), self._config.smi.declare
-        return self._estimates(method, objects, episodes, identity.beliefs, identity.score, least)
+        least = self._config.smi.declare
+        return self._estimates(method, objects, identity.beliefs, identity.score, least)
 
     def _estimates(
-        self,
-        method: str,
-        objects: Groups,
-        episodes: IntArray,
-        beliefs: Beliefs,
-        scores: FloatArray,
-        threshold: float,
+        self, method: str, objects: Table, beliefs: Beliefs, scores: FloatArray, threshold: float
     ) -> list[Estimate]:
-        """One Estimate for each of n objects.
-
-        episodes: (n,) as in Evidence. scores: (n,). threshold: as `declared`.
-        """
+        """One Estimate for each of n objects. scores: (n,). threshold: as `declared`."""
         landmark_index, _ = likeliest(beliefs.probabilities)
-        positions, spread = objects.positions, objects.spread
+        positions, spread, sight_deg = objects["position"], objects["spread"], objects["sight_deg"]
         range_sigma, bearing_sigma = self._plane.polar_sigma(positions, POSITION_SHARE * spread)
         column, row = self._plane.to_fan(*positions.T)
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
-        _, left_deg = rounded_steps(objects.sight_deg)
+        _, left_deg = rounded_steps(sight_deg)
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
         orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.enough_evidence
@@ -113,13 +101,13 @@ class Estimates:
         return [
             Estimate(
                 method=method,
-                object=int(objects.numbers[i]),
+                object=int(objects["number"][i]),
                 x_px=float(column[i]),
                 y_px=float(row[i]),
                 range_m=float(range_m[i]),
                 bearing_deg=float(bearing_deg[i]),
                 orientation_deg=float(orientation_deg[i]),
-                existence=float(objects.existence[i]),
+                existence=float(objects["existence"][i]),
                 probabilities=beliefs.probabilities[i],
                 landmark=self._ids[landmark_index[i]],
                 score=float(scores[i]),
@@ -127,9 +115,9 @@ class Estimates:
                 range_sigma_m=float(range_sigma[i]),
                 bearing_sigma_deg=float(bearing_sigma[i]),
                 orientation_sigma_deg=float(orientation_sigma[i]),
-                sight_deg=float(objects.sight_deg[i]),
-                episode=int(episodes[i]),
-                in_view=bool(objects.in_view[i]),
+                sight_deg=float(sight_deg[i]),
+                episode=int(objects["episode"][i]),
+                in_view=bool(objects["shown"][i]),
                 enough_evidence=bool(beliefs.enough_evidence[i]),
                 read=read[i],
                 corners=corners[i],

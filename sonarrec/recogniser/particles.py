@@ -1,12 +1,9 @@
-"""The particles of stage 2: a row for each group."""
+"""The particles of stage 2, of many groups at once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sonarrec.arrays import FloatArray, FloatImage
 from sonarrec.config import Continuity
@@ -14,53 +11,42 @@ from sonarrec.recogniser.plane import as_complex
 
 
 class Particles:
-    """n groups of as many particles each.
+    """What happens to the particles of n groups, (n, particles, 2) float32 each time.
 
-    positions: (n, particles, 2) float32, (column, row) in working pixels.
+    They are (column, row) in working pixels.
     """
 
     def __init__(self, config: Continuity, rng: np.random.Generator) -> None:
         self._config, self._rng = config, rng
-        self._share: npt.NDArray[np.float32] = np.full(
-            (1, config.particles), 1 / config.particles, np.float32
-        )
-        self.positions: npt.NDArray[np.float32] = np.empty((0, config.particles, 2), np.float32)
+        self._share = np.full((1, config.particles), 1 / config.particles, np.float32)
 
-    def begin(self, positions: FloatArray, sigma: float) -> None:
-        """Add a group of normally distributed particles round each of (n, 2) positions.
+    def around(self, positions: FloatArray, sigma: float) -> FloatImage:
+        """Particles normally distributed round each of (n, 2) positions.
 
         sigma: standard deviation along each axis, pixels.
         """
-        cloud = self._noise(len(positions), sigma) + positions[:, None].astype(np.float32)
-        self.positions = np.concatenate([self.positions, cloud])
+        return self.walked(np.asarray(positions, np.float32)[:, None], sigma)
 
-    def keep(self, rows: Sequence[int]) -> None:
-        """Keep these groups alone, in this order."""
-        self.positions = self.positions[rows]
-
-    def walk(self, sigma: float) -> None:
+    def walked(self, particles: FloatImage, sigma: float) -> FloatImage:
         """Eq. 3: every particle takes a random step, Gaussian, `sigma` pixels in each axis."""
-        self.positions += self._noise(len(self.positions), sigma)
-
-    def _noise(self, groups: int, sigma: float) -> npt.NDArray[np.float32]:
-        shape = (groups, self._config.particles, 2)
-        noise = self._rng.standard_normal(shape, np.float32)
+        noise = self._rng.standard_normal((len(particles), self._config.particles, 2), np.float32)
         noise *= np.float32(sigma)
+        noise += particles
         return noise
 
-    def mean(self) -> npt.NDArray[np.float32]:
-        """(n, 2) the particles' mean. A product, since mean(axis=1) takes twenty times as long."""
-        return np.asarray((self._share @ self.positions)[:, 0])
+    def mean(self, particles: FloatImage) -> FloatImage:
+        """(n, 2) their mean. A product, since mean(axis=1) takes twenty times as long."""
+        return np.asarray((self._share @ particles)[:, 0])
 
-    def weigh(self, score_map: FloatImage, step: int = 1) -> FloatArray:
+    def weigh(self, particles: FloatImage, score_map: FloatImage, step: int = 1) -> FloatArray:
         """Eq. 4: (n, particles) weights from the score map; each group's sum to 1.
 
         step: as in Selection.
         """
         config = self._config
-        if len(self.positions) == 0:  # OpenCV refuses empty maps
-            return np.empty(self.positions.shape[:2])
-        where = self.positions
+        if len(particles) == 0:  # OpenCV refuses empty maps
+            return np.empty(particles.shape[:2])
+        where = particles
         if step > 1:
             where = where * np.float32(1 / step)
             where += np.float32(0.5 / step - 0.5)
@@ -79,15 +65,7 @@ class Particles:
         likely /= likely.sum(axis=1, keepdims=True)
         return np.asarray(likely)
 
-    def weighted(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) weighted means and standard deviations, in pixels. weight: from `weigh`."""
-        mean = (weight[:, None] @ self.positions)[:, 0]
-        # In one piece: subtracting along the last axis of two takes four times as long.
-        offset = as_complex(self.positions) - as_complex(mean.astype(np.float32))[:, None]
-        square = np.square(offset.view(np.float32), out=offset.view(np.float32))
-        return mean, np.sqrt((weight[:, None] @ square.reshape(self.positions.shape))[:, 0])
-
-    def resample(self, weight: FloatArray) -> None:
+    def resampled(self, particles: FloatImage, weight: FloatArray) -> FloatImage:
         """Systematic resampling: as many particles again, drawn by their weights.
 
         Ticks lie on the cumulative weight at steps of 1 / particles, from a random start. A
@@ -101,6 +79,14 @@ class Particles:
         np.minimum(drawn, n, out=drawn)
         drawn[:, -1] = n  # whatever rounding left
         drawn[:, 1:] -= drawn[:, :-1].copy()
-        flat = as_complex(self.positions).ravel()
-        again = np.repeat(flat, drawn.ravel())
-        self.positions = again.view(np.float32).reshape(groups, n, 2)
+        again = np.repeat(as_complex(particles).ravel(), drawn.ravel())
+        return again.view(np.float32).reshape(groups, n, 2)
+
+
+def weighted(particles: FloatImage, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) weighted means and standard deviations, in pixels. weight: from `weigh`."""
+    mean = (weight[:, None] @ particles)[:, 0]
+    # In one piece: subtracting along the last axis of two takes four times as long.
+    offset = as_complex(particles) - as_complex(mean.astype(np.float32))[:, None]
+    square = np.square(offset.view(np.float32), out=offset.view(np.float32))
+    return mean, np.sqrt((weight[:, None] @ square.reshape(particles.shape))[:, 0])

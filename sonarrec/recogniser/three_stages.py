@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatArray, joined
+from sonarrec.arrays import BoolArray, ByteImage, FloatArray, Table
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
@@ -24,13 +24,14 @@ from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.recogniser.stage3 import Beliefs, Evidence, shape_matrix
+from sonarrec.recogniser.stage3 import Beliefs, shape_matrix
 from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Reads
 from sonarrec.recogniser.stage3.model_file import built_in_weights
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.reader import Reader
 from sonarrec.recogniser.stage3.smi import identify
-from sonarrec.records import Estimate, Fan, Frame, FrameResult, Groups, Motion, Selection
+from sonarrec.recogniser.tracks import Tracks
+from sonarrec.records import Estimate, Fan, Frame, FrameResult, Motion, Selection
 
 SMI = "smi"
 FRAMEWORK = "framework"
@@ -41,8 +42,9 @@ class Tracked:
     """One frame after stage 2, with what stage 3 needs of its image.
 
     motion: of the sonar since the frame before. candidates: (n, 2) working pixels. scores: (n,) of
-    stage 1. evidence: of the groups. stretch: as in Frame. shapes: two arrays (n, L, ANGLES), the
-    candidates' shape matrices and which of their cells lie inside the fan; empty for plates.
+    stage 1. tracks: those in view, with their evidence. stretch: as in Frame. shapes: two arrays
+    (n, L, ANGLES), the candidates' shape matrices and which of their cells lie inside the fan;
+    empty for plates.
     """
 
     index: int
@@ -50,8 +52,7 @@ class Tracked:
     motion: Motion | None
     candidates: FloatArray
     scores: FloatArray
-    groups: Groups
-    evidence: Evidence
+    tracks: Table
     stretch: int
     shapes: tuple[FloatArray, BoolArray] | tuple[()] = ()
 
@@ -59,11 +60,8 @@ class Tracked:
 class Measurement(Protocol):
     """Stage 3 of one kind of landmark."""
 
-    def beliefs(self, groups: Sequence[Groups], evidence: Evidence, /) -> Beliefs:
-        """Beliefs about the groups of consecutive frames.
-
-        evidence: on the groups of all these frames, concatenated.
-        """
+    def beliefs(self, frames: Sequence[Table], /) -> Beliefs:
+        """Beliefs about the tracks of consecutive frames, by their evidence."""
         ...
 
 
@@ -77,18 +75,20 @@ class ThreeStages(ABC):
     plane: Plane
     odometry: Odometry
     method: str  # name of the framework in the estimates
+    _tracks: Tracks
     _select: CandidateSelector
     _measurement: Measurement
     _estimates: Estimates
 
     _stretch: int | None = None  # of the frame before, for `step` alone
 
-    @abstractmethod
     def begin_stretch(self) -> None:
-        """End all tracks, their beliefs and the motion, since the next frame begins a stretch.
+        """End all tracks and the motion, since the next frame begins a stretch.
 
         `stage3` must have had all earlier frames.
         """
+        self.odometry.begin_stretch()
+        self._tracks.keep(np.zeros(len(self._tracks), bool))
 
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
@@ -123,20 +123,20 @@ class ThreeStages(ABC):
         rounding.
         """
         # Judge the evidence, and pool the beliefs along the tracks (Eq. 5 to 8).
-        groups, evidence = [f.groups for f in frames], joined([f.evidence for f in frames])
-        beliefs = self._measurement.beliefs(groups, evidence)
-        tracked = self._estimates.of_groups(self.method, groups, evidence.episodes, beliefs)
-        # Each frame gets the estimates of its own candidates, then those of its own groups.
-        of_candidates, of_groups = iter(self.single_frame_estimates(frames)), iter(tracked)
+        tracks = [f.tracks for f in frames]
+        beliefs = self._measurement.beliefs(tracks)
+        tracked = self._estimates.of_tracks(self.method, tracks, beliefs)
+        # Each frame gets the estimates of its own candidates, then those of its own tracks.
+        of_candidates, of_tracks = iter(self.single_frame_estimates(frames)), iter(tracked)
         return [
             FrameResult(
                 index=f.index,
                 timestamp_ns=f.timestamp_ns,
                 candidates=len(f.candidates),
-                tracks=len(f.groups.numbers),
+                tracks=len(f.tracks),
                 estimates=(
                     *islice(of_candidates, len(f.candidates)),
-                    *islice(of_groups, len(f.groups.numbers)),
+                    *islice(of_tracks, len(f.tracks)),
                 ),
                 motion=f.motion,
                 stretch=f.stretch,
@@ -176,30 +176,31 @@ class DiscStages(ThreeStages):
         self.plane, self.method, self._smi = plane, method, smi
         self._select = CandidateSelector(select, plane, landmarks, beam_width_deg)
         self.odometry = Odometry(plane, config.continuity, poses)
-        self._track = ContinuityFilter(config.continuity, plane, np.random.default_rng(config.seed))
+        self._tracks = Tracks()
+        self._track = ContinuityFilter(
+            config.continuity, plane, self._tracks, np.random.default_rng(config.seed)
+        )
         self._sample = shape_matrix.ShapeSampler(landmarks, plane.axes)
         codes = shape_matrix.rotated_codes(landmarks)
         self._identify = partial(identify, bands=self._sample.bands, codes=codes)
         if features.measurement == "single":
             self._measurement = PublishedMeasurement(
-                features, self._identify, landmarks, fan.window_m
+                features, self._tracks, self._identify, landmarks, fan.window_m
             )
         else:
             self._measurement = AppearanceMeasurement(
                 features,
                 plane,
-                self._sample,
+                self._tracks,
+                len(self._sample.radii),
                 landmarks,
                 read or Reader(built_in_weights(), codes),
                 beam_width_deg,
-                config.continuity.remember_frames,
             )
         self._estimates = Estimates(config, plane, landmarks)
 
     def begin_stretch(self) -> None:
-        self.odometry.begin_stretch()
-        self._track.begin_stretch()
-        # AppearanceMeasurement finds a track by its number, and no later track gets an old number.
+        super().begin_stretch()
         if isinstance(self._measurement, PublishedMeasurement):
             self._measurement.begin_stretch()
 
@@ -207,25 +208,24 @@ class DiscStages(ThreeStages):
         # How did the sonar move since the frame before?
         motion = self.odometry.step(image, frame.timestamp_ns)
         # Track the candidates by groups of particles (Eq. 3 and 4).
-        groups = self._track.step(candidates, motion)
-        # Sample the shape matrices (Section 3.4.2) of the candidates, then of the groups. Those of
-        # a group are rotated by whole steps only, so that their cells coincide from frame to frame.
+        tracks = self._track.step(candidates, motion)
+        # Sample the shape matrices (Section 3.4.2) of the candidates, then of the tracks. Those of
+        # a track are rotated by whole steps only, so that their cells coincide from frame to frame.
         n = len(candidates.positions)
-        positions = np.concatenate([candidates.positions, groups.positions])
+        positions = np.concatenate([candidates.positions, tracks["position"]])
         sight = self.plane.line_of_sight(positions)
-        sight[n:] -= np.radians(shape_matrix.rounded_steps(groups.sight_deg)[1])
+        sight[n:] -= np.radians(shape_matrix.rounded_steps(tracks["sight_deg"])[1])
         levels = self._select.levels(candidates, positions)
         grey, seen = self._sample(image, self.plane.inside, positions, sight, *levels)
-        # Average the groups' along their tracks.
-        evidence = self._measurement.gather(groups, grey[n:], seen[n:])
+        # Average those of the tracks.
+        evidence = self._measurement.gather(grey[n:], seen[n:])
         return Tracked(
             index=frame.index,
             timestamp_ns=frame.timestamp_ns,
             motion=motion,
             candidates=candidates.positions,
             scores=candidates.scores,
-            groups=groups,
-            evidence=evidence,
+            tracks=tracks.with_columns(**evidence),
             stretch=frame.stretch,
             shapes=(grey[:n], seen[:n]),
         )

@@ -1,6 +1,5 @@
 """The averaged shape matrix by properties, and what is read off it by drawn discs."""
 
-import dataclasses
 import math
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from sonarrec.recogniser.stage3.shape_matrix import (
     ShapeSampler,
     rotated_codes,
 )
-from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from tests.support.drawn import (
     SECTORS,
     disc_pattern,
@@ -33,7 +31,7 @@ from tests.support.drawn import (
     surroundings,
     whole_disc,
 )
-from tests.support.groups import groups
+from tests.support.tracks import follow, made_up_tracks
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 BASIN = load_landmarks("basin")
@@ -42,21 +40,28 @@ PLANE = FloorPlane(FAN, BASIN.radius_m, 15.0)
 SAMPLER = ShapeSampler(BASIN, PLANE.axes)
 LINES = len(SAMPLER.radii)
 READ = Reader(built_in_weights(), rotated_codes(BASIN))
-SURE = np.full(3, 0.9)  # that the objects exist
+
+
+def new_measurement(memory: float = 20.0, lines: int = LINES, width_deg: float = 0.01):
+    """And the tracks it measures."""
+    tracks = made_up_tracks()
+    memory = Features(memory_frames=memory)
+    return AppearanceMeasurement(memory, PLANE, tracks, lines, BASIN, READ, width_deg), tracks
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), memory=st.sampled_from([1.0, 5.0, 20.0]))
 def test_the_average_is_the_fading_sum_over_what_was_seen(seed, memory):
     rng = np.random.default_rng(seed)
-    matrix = TrackMatrix(memory, 2)
+    measurement, tracks = new_measurement(memory, 2)
+    follow(tracks, 4)
     frames = 6
     grey = rng.normal(size=(frames, 1, 2, ANGLES))
     seen = rng.random(grey.shape) < 0.7
     for g, s in zip(grey, seen, strict=True):
-        found = matrix.step(groups(4), g, s)
-    average, count = found.brightness, found.count
-    assert found.frames.tolist() == [frames]
+        found = measurement.gather(g, s)
+    average, count = found["brightness"], found["count"]
+    assert found["frames"].tolist() == [frames]
     keep = 1 - 1 / memory
     for line in range(2):
         for a in range(0, ANGLES, 7):
@@ -68,7 +73,7 @@ def test_the_average_is_the_fading_sum_over_what_was_seen(seed, memory):
 
 
 def test_tracks_keep_their_own_average_and_lost_ones_are_forgotten():
-    matrix = TrackMatrix(10.0, 1)
+    measurement, tracks = new_measurement(10.0, 1)
     all_seen = np.ones((1, 1, ANGLES), bool)
 
     def level(value):
@@ -77,83 +82,89 @@ def test_tracks_keep_their_own_average_and_lost_ones_are_forgotten():
     def stacked(*values):
         return np.concatenate([level(v) for v in values]), np.repeat(all_seen, len(values), 0)
 
-    matrix.step(groups(1, 2, 5), *stacked(10, 20, 50))
-    found = matrix.step(groups(2, 5, 6), *stacked(20, 50, 60))
-    np.testing.assert_allclose(found.brightness[:, 0, 0], [20, 50, 60])
-    found = matrix.step(groups(1, 5), *stacked(-10, 50))
-    # Nothing of the first 1 is left.
-    np.testing.assert_allclose(found.brightness[:, 0, 0], [-10, 50])
-    np.testing.assert_allclose(found.count[:, 0, 0], [1, 1 + 0.9 + 0.81])
-    assert found.frames.tolist() == [1, 3]
+    follow(tracks, 1, 2, 5)
+    measurement.gather(*stacked(10, 20, 50))
+    follow(tracks, 2, 5, 6)
+    found = measurement.gather(*stacked(20, 50, 60))
+    np.testing.assert_allclose(found["brightness"][:, 0, 0], [20, 50, 60])
+    follow(tracks, 5)
+    follow(tracks, 5, 6)
+    found = measurement.gather(*stacked(50, -10))
+    # Nothing of the first 6 is left.
+    np.testing.assert_allclose(found["brightness"][:, 0, 0], [50, -10])
+    np.testing.assert_allclose(found["count"][:, 0, 0], [1 + 0.9 + 0.81, 1])
+    assert found["frames"].tolist() == [3, 1]
 
 
 @pytest.mark.parametrize("same", [True, False])
 def test_a_track_that_comes_back_earns_what_it_was_by_looking_the_same(same):
     """Half of the old frames count at once where it does, and never where it does not."""
-    matrix = TrackMatrix(10.0, 1)
+    measurement, tracks = new_measurement(10.0, 1)
     picture = np.sin(np.arange(ANGLES))[None, None]
     other = np.cos(2 * np.arange(ANGLES))[None, None]
     seen, nothing = np.ones((1, 1, ANGLES), bool), np.empty((0, 1, ANGLES))
+    follow(tracks, 3)
     for _ in range(4):
-        before = matrix.step(groups(3), picture, seen)
+        before = measurement.gather(picture, seen)
+    follow(tracks, away=[3])
     for _ in range(50):
-        matrix.step(groups(remembered=[3]), nothing, nothing)
-    now, count = (picture if same else other), (0.5 * before.count if same else 0.0)
+        measurement.gather(nothing, nothing)
+    follow(tracks, 3)
+    now, count = (picture if same else other), (0.5 * before["count"] if same else 0.0)
     for i in range(4):
-        found = matrix.step(groups(3), now, seen)
+        found = measurement.gather(now, seen)
         count = 1 + (count if i == 0 else 0.9 * count)
-        np.testing.assert_allclose(found.brightness, now)
-        np.testing.assert_allclose(found.count, count)
-        assert found.frames.tolist() == [i + (3 if same else 1)]
+        np.testing.assert_allclose(found["brightness"], now)
+        np.testing.assert_allclose(found["count"], count)
+        assert found["frames"].tolist() == [i + (3 if same else 1)]
         # Another picture is another episode of the track's life.
-        assert (found.episodes == before.episodes).all() == same
+        assert (found["episode"] == before["episode"]).all() == same
 
 
 def test_what_looks_somewhat_the_same_goes_on_in_its_old_episode_after_three_frames():
-    matrix = TrackMatrix(10.0, 1)
+    measurement, tracks = new_measurement(10.0, 1)
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     picture = np.sin(angle)[None, None]
     alike = (0.6 * np.sin(angle) + 0.8 * np.cos(3 * angle))[None, None]  # correlation .6
     seen, nothing = np.ones((1, 1, ANGLES), bool), np.empty((0, 1, ANGLES))
-    first = matrix.step(groups(3), picture, seen).episodes.tolist()
-    matrix.step(groups(remembered=[3]), nothing, nothing)
-    again = [matrix.step(groups(3), alike, seen).episodes.tolist() for _ in range(4)]
+    follow(tracks, 3)
+    first = measurement.gather(picture, seen)["episode"].tolist()
+    follow(tracks, away=[3])
+    measurement.gather(nothing, nothing)
+    follow(tracks, 3)
+    again = [measurement.gather(alike, seen)["episode"].tolist() for _ in range(4)]
     assert again[0] == again[1] > first
     assert again[2] == again[3] == first
 
 
 def test_what_is_passed_is_averaged_as_it_lies():
     """Each frame's matrix counts from a line of sight that has turned by a step and more."""
-    matrix = TrackMatrix(20.0, 1)
+    measurement, tracks = new_measurement(20.0, 1)
     picture = np.random.default_rng(3).normal(size=(1, 1, ANGLES))
     seen = np.ones((1, 1, ANGLES), bool)
     seen[..., 5] = False  # on the object, not in the matrix
     for turned in (0, 1, 2, 4, 40, -3):
         by = -turned  # as the line of sight turns one way, the object turns the other beneath it
-        found = matrix.step(
-            groups(7, sight_deg=[turned * STEP_DEG + 0.3 * STEP_DEG]),
-            np.roll(picture, by, axis=2),
-            np.roll(seen, by, axis=2),
-        )
+        follow(tracks, 7, sight_deg=[turned * STEP_DEG + 0.3 * STEP_DEG])
+        found = measurement.gather(np.roll(picture, by, axis=2), np.roll(seen, by, axis=2))
         shown = np.roll(seen, by, axis=2)
-        np.testing.assert_allclose(found.brightness[shown], np.roll(picture, by, axis=2)[shown])
-        assert (found.count[~shown] == 0).all()
+        np.testing.assert_allclose(found["brightness"][shown], np.roll(picture, by, axis=2)[shown])
+        assert (found["count"][~shown] == 0).all()
 
 
 def averaged(pattern, seed: int, frames: int = 16, range_m: float = 2.1, bearing_deg: float = 3.0):
     """Probabilities and turn after some frames of one speckled disc on its dark plate."""
     rng = np.random.default_rng(seed)
-    memory = Features(memory_frames=20.0)
-    measurement = AppearanceMeasurement(memory, PLANE, SAMPLER, BASIN, READ, 0.01, 400)
+    measurement, tracks = new_measurement()
     centre = np.stack(PLANE.from_polar(np.array([range_m]), np.array([bearing_deg])), axis=-1)
     sight = PLANE.line_of_sight(centre)
+    track = follow(tracks, 1, positions=centre)
     for _ in range(frames):
         picture = speckled_disc(rng, FAN, range_m, bearing_deg, BASIN.radius_m, pattern)
         image = PLANE.warp(picture)
         grey, visible = SAMPLER(image, PLANE.inside, centre, sight, *surroundings(image))
-        track = dataclasses.replace(groups(1), positions=centre, existence=SURE[:1])
-        evidence = measurement.gather(track, grey, visible)
-    known = measurement.beliefs([track], evidence)
+        evidence = measurement.gather(grey, visible)
+    known = measurement.beliefs([track.with_columns(**evidence)])
     return known.probabilities[0], float(sight[0] + known.rotation[0] * STEP)
 
 
@@ -182,23 +193,18 @@ def test_a_blank_and_a_filled_disc_are_none_of_these(seed):
 @pytest.mark.parametrize(("width_deg", "needed"), [(0.4, 2), (4.0, 8)])
 def test_an_id_is_earned_by_frames_and_by_more_of_a_disc_few_beams_wide(width_deg, needed):
     """At 2 m a disc of 0.3 m is 21 beams of 0.4 deg wide, and two of 4 deg."""
-    measurement = AppearanceMeasurement(Features(), PLANE, SAMPLER, BASIN, READ, width_deg, 400)
+    measurement, tracks = new_measurement(width_deg=width_deg)
     centre = np.stack(PLANE.from_polar(np.array([2.0]), np.array([0.0])), axis=-1)
-    track = dataclasses.replace(groups(1), positions=centre)
     grey = np.zeros((1, LINES, ANGLES))
-    enough_evidence = [
-        bool(
-            measurement.beliefs(
-                [track], measurement.gather(track, grey, grey == 0)
-            ).enough_evidence[0]
-        )
-        for _ in range(10)
-    ]
-    assert enough_evidence == [frame >= needed for frame in range(1, 11)]
-    track = dataclasses.replace(track, in_view=np.zeros(1, bool))
-    assert not measurement.beliefs(
-        [track], measurement.gather(track, grey, grey == 0)
-    ).enough_evidence[0]
+
+    def enough_evidence() -> bool:
+        track = follow(tracks, 1, positions=centre)
+        track = track.with_columns(**measurement.gather(grey, grey == 0))
+        return bool(measurement.beliefs([track]).enough_evidence[0])
+
+    assert [enough_evidence() for _ in range(10)] == [frame >= needed for frame in range(1, 11)]
+    tracks["shown"] = False
+    assert not enough_evidence()
 
 
 def test_what_is_written_of_a_symbol_is_what_lies_there():

@@ -13,6 +13,7 @@ from sonarrec.recogniser.particles import Particles
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Motion, Selection
 from sonarrec.truth.match import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
@@ -50,7 +51,12 @@ def selection(score: np.ndarray, *candidates) -> Selection:
 
 
 def new_filter(settings=PAPER, seed: int = 0, plane: Plane = PLANE) -> ContinuityFilter:
-    return ContinuityFilter(settings, plane, np.random.default_rng(seed))
+    return ContinuityFilter(settings, plane, Tracks(), np.random.default_rng(seed))
+
+
+def away(follow: ContinuityFilter) -> list[int]:
+    """Numbers of the tracks that are remembered."""
+    return follow._tracks["number"][follow._tracks["remembered"]].tolist()
 
 
 def test_a_group_follows_a_peak_that_moves():
@@ -58,8 +64,8 @@ def test_a_group_follows_a_peak_that_moves():
     for t in range(20):
         true = (150 + 4.0 * t, 250 + 1.5 * t)
         groups = follow.step(selection(peaks(true), true))
-    assert list(groups.numbers) == [1]
-    np.testing.assert_allclose(groups.positions[0], true, atol=2.5)
+    assert list(groups["number"]) == [1]
+    np.testing.assert_allclose(groups["position"][0], true, atol=2.5)
 
 
 def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -> np.ndarray:
@@ -67,9 +73,9 @@ def resampled(weight_map: np.ndarray, places: np.ndarray, settings, seed: int) -
     follow = new_filter(settings, seed)
     follow.step(selection(weight_map, tuple(places[0])))
     # No other way in: the particles are put where their weights are known.
-    follow._particles.positions = places[None].astype(np.float32)
+    follow._tracks["particles"] = places[None].astype(np.float32)
     follow.step(selection(weight_map))
-    kept, counts = np.unique(follow._particles.positions[0], axis=0, return_counts=True)
+    kept, counts = np.unique(follow._tracks["particles"][0], axis=0, return_counts=True)
     table = {tuple(p): int(c) for p, c in zip(kept, counts, strict=True)}
     return np.array([table.get(tuple(p), 0) for p in places.astype(np.float32)])
 
@@ -102,10 +108,10 @@ def test_a_particle_walks_randn_sigma_in_each_frame():
     follow = new_filter()
     even = np.ones(PLANE.shape, np.float32)
     follow.step(selection(even, START))
-    before = follow._particles.positions.copy()
+    before = follow._tracks["particles"].copy()
     follow.step(selection(even))
     np.testing.assert_allclose(
-        (follow._particles.positions - before).std(axis=1), PAPER.sigma_px, rtol=0.1
+        (follow._tracks["particles"] - before).std(axis=1), PAPER.sigma_px, rtol=0.1
     )
 
 
@@ -117,10 +123,10 @@ def test_noise_dies_by_the_rule_of_25_percent_five_times(seed):
     lives, wide = 0, 0
     while True:
         groups = follow.step(selection(rng.random(PLANE.shape, np.float32) * 0.4))
-        if not len(groups.numbers):
+        if not len(groups["number"]):
             break
         lives += 1
-        wide = wide + 1 if (groups.spread > 0.25).any() else 0
+        wide = wide + 1 if (groups["spread"] > 0.25).any() else 0
         assert wide < 5
         assert lives < 15
     assert lives >= 4  # five strikes take five frames
@@ -137,8 +143,8 @@ def test_a_narrow_frame_in_between_starts_the_count_again(count, lives):
         for _ in range(4):  # lost for less than five frames
             groups = follow.step(selection(noise))
         groups = follow.step(selection(peaks(START)))
-        assert list(groups.numbers) == [1] * (life < lives)
-        assert (groups.spread <= 0.25).all()
+        assert list(groups["number"]) == [1] * (life < lives)
+        assert (groups["spread"] <= 0.25).all()
 
 
 def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
@@ -150,9 +156,8 @@ def test_p_hit_is_the_map_s_power_or_its_share_of_the_group():
     hits = np.array([0.81, 0.01, 0.01, 0.0])
     for p_hit, of_all in (("map", 1.0), ("normalised", hits.sum())):
         weight = 0.8 * hits / of_all + 0.2 / 4
-        group = Particles(dataclasses.replace(still, p_hit=p_hit), np.random.default_rng(0))
-        group.positions = places
-        found = group.weigh(score)
+        particles = Particles(dataclasses.replace(still, p_hit=p_hit), np.random.default_rng(0))
+        found = particles.weigh(places, score)
         np.testing.assert_allclose(found[0], weight / weight.sum(), rtol=1e-5)
 
 
@@ -168,13 +173,13 @@ def test_a_group_on_a_landmark_lives_with_a_spread_of_some_pixels(seed):
     for _ in range(25):
         image = speckled_disc(rng, FAN, 2.2, 2.0, BASIN.radius_m, pattern)
         groups = follow.step(select(image))
-        assert 1 in groups.numbers
-        spreads.append(groups.spread[0] * 2 * np.array(PLANE.axes))
+        assert 1 in groups["number"]
+        spreads.append(groups["spread"][0] * 2 * np.array(PLANE.axes))
     typical = np.median(spreads[1:], axis=0)
     assert (typical > 2).all()
     assert (typical < 10).all()
     truth = np.ravel(PLANE.from_polar(np.array([2.2]), np.array([2.0])))
-    np.testing.assert_allclose(groups.positions[0], truth, atol=4)
+    np.testing.assert_allclose(groups["position"][0], truth, atol=4)
 
 
 @pytest.mark.parametrize("pan_deg", [-3.0, 0.8, 4.0])
@@ -189,7 +194,7 @@ def test_a_known_pan_moves_the_groups(pan_deg):
     follow.step(selection(even, *places))
     groups = follow.step(selection(even), Motion(pan_deg))
     turned = [np.ravel(PLANE.from_polar(np.array([r]), np.array([b - pan_deg]))) for r, b in starts]
-    np.testing.assert_allclose(groups.positions, turned, atol=0.05)
+    np.testing.assert_allclose(groups["position"], turned, atol=0.05)
 
 
 def test_a_group_pulled_off_what_the_pan_says_is_deleted(monkeypatch):
@@ -197,10 +202,10 @@ def test_a_group_pulled_off_what_the_pan_says_is_deleted(monkeypatch):
     settings = dataclasses.replace(PAPER, motion="image", sigma_known_px=10.0)
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
-    assert list(follow.step(selection(peaks(START)), Motion(0.0)).numbers) == [1]
+    assert list(follow.step(selection(peaks(START)), Motion(0.0))["number"]) == [1]
     elsewhere = (START[0] + 0.45 * DIAMETER, START[1])
     groups = follow.step(selection(peaks(elsewhere), elsewhere), Motion(0.0))
-    assert list(groups.numbers) == [2]  # what pulled it is a new object
+    assert list(groups["number"]) == [2]  # what pulled it is a new object
 
 
 def test_of_two_groups_on_one_object_the_older_stays():
@@ -208,12 +213,12 @@ def test_of_two_groups_on_one_object_the_older_stays():
     a, b = START, (START[0] + 0.8 * DIAMETER, START[1])
     groups = follow.step(selection(peaks(a), a))
     groups = follow.step(selection(peaks(a, b), a, b))
-    assert list(groups.numbers) == [1, 2]
+    assert list(groups["number"]) == [1, 2]
     for t in range(12):  # the second object runs into the first
         b = (START[0] + max(0.8 - 0.08 * t, 0) * DIAMETER, START[1])
         groups = follow.step(selection(peaks(a, b), a, b))
-    assert list(groups.numbers) == [1]
-    np.testing.assert_allclose(groups.positions[0], a, atol=2)
+    assert list(groups["number"]) == [1]
+    np.testing.assert_allclose(groups["position"][0], a, atol=2)
 
 
 def test_numbers_are_never_used_again():
@@ -224,8 +229,8 @@ def test_numbers_are_never_used_again():
     for _ in range(40):
         places = rng.uniform((90, 120), (290, 400), (rng.integers(0, 3), 2))
         groups = follow.step(selection(peaks(*places, base=0.2), *map(tuple, places)))
-        now = {int(n) for n in groups.numbers}
-        assert list(groups.numbers) == sorted(now)
+        now = {int(n) for n in groups["number"]}
+        assert list(groups["number"]) == sorted(now)
         assert not (now - alive) & ever
         ever |= now
         alive = now
@@ -242,7 +247,7 @@ def test_existence_is_bayes_rule_on_hits_and_misses():
         groups = follow.step(selection(score, *([START] if hit else [])))
         odds = existence / (1 - existence) * (0.9 / 0.4 if hit else 0.1 / 0.6)
         existence = min(max(odds / (1 + odds), 0.01), 0.99)
-        assert groups.existence[0] == pytest.approx(existence)
+        assert groups["existence"][0] == pytest.approx(existence)
 
 
 def test_an_object_that_is_no_longer_a_candidate_is_given_up():
@@ -250,7 +255,7 @@ def test_an_object_that_is_no_longer_a_candidate_is_given_up():
     follow = new_filter(settings)
     follow.step(selection(peaks(START), START))
     lives = 0
-    while len(follow.step(selection(peaks(START))).numbers):
+    while len(follow.step(selection(peaks(START)))["number"]):
         lives += 1
     # Odds of 1 fall by 6 with each miss: 1/6 and 1/36 are left, which is below .05 at the second.
     assert lives == 1
@@ -261,8 +266,8 @@ def test_a_black_score_map_leaves_weights_that_can_be_used():
     follow.step(selection(peaks(START), START))
     for _ in range(8):
         groups = follow.step(selection(np.zeros(PLANE.shape, np.float32)))
-        assert np.isfinite(groups.positions).all()
-    assert len(groups.numbers) == 0  # spread out, five times
+        assert np.isfinite(groups["position"]).all()
+    assert len(groups["number"]) == 0  # spread out, five times
 
 
 # --- Groups that leave the view and return --------------------------------------------------------
@@ -290,7 +295,7 @@ def swept(follow: ContinuityFilter, pans, hidden=(), move=lambda pan: pan) -> li
         score = peaks(place) if shows else peaks()
         motion = Motion(move(pan - before)) if i else None
         groups = follow.step(selection(score, *([place] if shows else [])), motion)
-        numbers.append([int(n) for n in groups.numbers])
+        numbers.append([int(n) for n in groups["number"]])
         before = pan
     return numbers
 
@@ -316,7 +321,7 @@ def test_without_a_known_pan_nobody_is_remembered():
     assert swept(follow, AWAY_AND_BACK[:12])[-1] == []
     follow.step(selection(peaks()), None)
     groups = follow.step(selection(peaks(seen_at(4.0)), seen_at(4.0)), Motion(0.0))
-    assert list(groups.numbers) == [2]
+    assert list(groups["number"]) == [2]
 
 
 def test_what_does_not_show_where_it_should_is_forgotten():
@@ -339,7 +344,7 @@ def test_a_group_held_back_at_the_edge_is_remembered_where_its_object_went(width
         shows = abs(10.0 - pan) < 14
         score = peaks(place if shows else edge, width=width)
         groups = follow.step(selection(score, *([place] if shows else [])), Motion(pan - before))
-        numbers.append(list(groups.numbers))
+        numbers.append(list(groups["number"]))
         before = pan
     assert numbers[0] == numbers[-1] == [1]
     assert [] in numbers
@@ -351,8 +356,8 @@ def test_a_newcomer_elsewhere_is_not_taken_for_the_lost_one():
     swept(follow, AWAY_AND_BACK[:12])
     far = seen_at(0.0, range_m=1.9, azimuth_deg=-3.0)
     groups = follow.step(selection(peaks(far), far), Motion(0.0))
-    assert list(groups.numbers) == [2]
-    assert list(groups.remembered) == [1]
+    assert list(groups["number"]) == [2]
+    assert away(follow) == [1]
 
 
 def test_what_is_out_of_view_is_not_missed():
@@ -361,11 +366,11 @@ def test_what_is_out_of_view_is_not_missed():
     follow = new_filter(settings)
     score = peaks(START)
     follow.step(selection(score, START))
-    existence = follow.step(selection(score, START), Motion(0.0)).existence[0]
-    assert len(follow.step(selection(0 * score), Motion(30.0)).numbers) == 0
+    existence = follow.step(selection(score, START), Motion(0.0))["existence"][0]
+    assert len(follow.step(selection(0 * score), Motion(30.0))["number"]) == 0
     back = follow.step(selection(score, START), Motion(-30.0))
-    assert list(back.numbers) == [1]
-    assert back.existence[0] == pytest.approx(existence)
+    assert list(back["number"]) == [1]
+    assert back["existence"][0] == pytest.approx(existence)
 
 
 @pytest.mark.parametrize(("away", "number"), [(1, 2), (100, 1)])
@@ -381,7 +386,7 @@ def test_the_longer_a_lost_object_is_away_the_farther_off_it_may_be(away, number
     follow.step(nothing, Motion(-15.0))
     place = (START[0] + 0.33 * DIAMETER, START[1])
     groups = follow.step(selection(peaks(place), place), Motion(-15.0))
-    assert list(groups.numbers) == [number]
+    assert list(groups["number"]) == [number]
 
 
 @pytest.mark.parametrize(("own_candidate", "stays"), [(0.2, True), (2.0, False)])
@@ -397,7 +402,7 @@ def test_a_group_stays_with_its_own_candidate_beside_a_broader_hill(
     follow = new_filter(dataclasses.replace(default, particles=500))
     for _ in range(40):
         groups = follow.step(selection(score, true, other), Motion(0.0))
-    (first,) = groups.positions[groups.numbers == 1]
+    (first,) = groups["position"][groups["number"] == 1]
     assert (np.hypot(*(first - true)) < 0.05 * DIAMETER) == stays
 
 
@@ -414,8 +419,8 @@ def test_a_new_group_does_not_stray_to_a_hill_beside_its_own(sigma_known_px, sta
     follow = new_filter(settings)
     follow.step(alone)
     groups = follow.step(both, Motion(0.0))
-    assert list(groups.numbers) == [1]
-    assert (np.hypot(*(groups.positions[0] - true)) < 0.05 * DIAMETER) == stays
+    assert list(groups["number"]) == [1]
+    assert (np.hypot(*(groups["position"][0] - true)) < 0.05 * DIAMETER) == stays
 
 
 @pytest.mark.parametrize("way", ["in", "out"])
@@ -432,9 +437,9 @@ def test_with_too_little_in_view_what_comes_in_stays_and_what_goes_out_goes(way)
         motion = Motion(float(bearings[i - 1] - bearing)) if i else None
         groups = follow.step(selection(peaks(place), place), motion)
         if way == "in" or share > default.least_in_view:
-            assert list(groups.numbers) == [1]
-            assert groups.in_view[0] == (share > default.least_in_view)
-            assert not len(groups.remembered)
+            assert list(groups["number"]) == [1]
+            assert groups["shown"][0] == (share > default.least_in_view)
+            assert not away(follow)
     if way == "out":
-        assert list(groups.numbers) == []
-        assert list(groups.remembered) == [1]
+        assert list(groups["number"]) == []
+        assert away(follow) == [1]

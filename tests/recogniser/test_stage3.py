@@ -1,6 +1,5 @@
 """Stage 3 against PAPER's equations written out and figures worked out from them."""
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -12,12 +11,12 @@ from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.recogniser.estimates import wins
 from sonarrec.recogniser.stage3.published import (
-    FeatureEstimator,
+    PublishedMeasurement,
     measurement_model,
     motion_model,
     update,
 )
-from tests.support.groups import groups
+from tests.support.tracks import follow, made_up_tracks
 
 IDEAL = {  # shares of agreeing sectors between the four IDs, by hand
     1: (1, 0.75, 0.75, 0.5),
@@ -38,6 +37,22 @@ def rows_of(shape, low=0.01):
     return st.lists(st.floats(low, 1), min_size=count, max_size=count).map(
         lambda v: np.reshape(v, shape) / np.reshape(v, shape).sum(axis=-1, keepdims=True)
     )
+
+
+class Estimator:
+    """Beliefs by what is measured, over a window of 2.5 m."""
+
+    def __init__(self, **settings: object) -> None:
+        self._tracks = made_up_tracks()
+        self._measurement = PublishedMeasurement(
+            Features(**settings), self._tracks, pytest.fail, BASIN, 2.5
+        )
+
+    def step(self, measured: np.ndarray, *numbers: int, **where: object) -> np.ndarray:
+        """measured: of tracks of these numbers; where: as in `follow`."""
+        track = follow(self._tracks, *numbers, **where)
+        belief = self._tracks["belief"][self._tracks.in_view]
+        return self._measurement.update(track.with_columns(belief=belief), measured)
 
 
 @pytest.mark.parametrize(("frames", "belief"), [(4, 0.304), (16, 0.447), (32, 0.584), (100, 0.816)])
@@ -80,11 +95,10 @@ def test_what_was_ruled_out_by_such_a_model_can_be_measured_again():
 
 @pytest.mark.parametrize("kind", ["association", "inverse_distance"])
 def test_one_that_returns_to_an_empty_view_brings_its_own_belief(kind):
-    estimator = FeatureEstimator(Features(motion_model=kind), measurement_model(BASIN, 2.5))
-    before = estimator.step(groups(4, positions=[[50, 50]]), ideal_q(3)[None])
-    nobody = dataclasses.replace(groups(), remembered=np.array([4]))
-    estimator.step(nobody, np.empty((0, 4)))
-    back = estimator.step(groups(4, positions=[[80, 50]]), np.full((1, 4), 0.25))
+    estimator = Estimator(motion_model=kind)
+    before = estimator.step(ideal_q(3)[None], 4, positions=[[50, 50]])
+    estimator.step(np.empty((0, 4)), away=[4])
+    back = estimator.step(np.full((1, 4), 0.25), 4, positions=[[80, 50]])
     expected = update(before, np.full((1, 4), 0.25), measurement_model(BASIN, 2.5))
     np.testing.assert_allclose(back, expected)
 
@@ -139,13 +153,12 @@ def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.nda
 
     shift: how far the picture moves from frame to frame, in pixels.
     """
-    config = Features(motion_model=kind, distance_power=power)
-    estimator = FeatureEstimator(config, measurement_model(BASIN, 2.5))
+    estimator = Estimator(motion_model=kind, distance_power=power)
     place = np.array([(100, 200), (160, 200), (280, 200)], float)
     q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
     for _ in range(frames):
         place = place + np.array([shift, 0])
-        belief = estimator.step(groups(1, 2, 3, positions=place), q)
+        belief = estimator.step(q, 1, 2, 3, positions=place)
         np.testing.assert_allclose(belief.sum(axis=1), 1, rtol=1e-9)
     return belief
 
@@ -170,22 +183,20 @@ def test_the_trap_literal_inverse_distance_ends_with_a_wrong_id(shift, frames, w
 @pytest.mark.parametrize("kind", ["association", "inverse_distance"])
 def test_a_new_track_knows_nothing_and_an_old_one_remembers(kind):
     model = measurement_model(BASIN, 2.5)
-    estimator = FeatureEstimator(Features(motion_model=kind, distance_power=1.0), model)
+    estimator = Estimator(motion_model=kind, distance_power=1.0)
     for _ in range(30):
-        old = estimator.step(groups(4, positions=[(50, 50)]), ideal_q(1)[None])
-    both = estimator.step(groups(4, 9, positions=[(50, 50), (52, 50)]), np.stack([ideal_q(1)] * 2))
+        old = estimator.step(ideal_q(1)[None], 4, positions=[(50, 50)])
+    both = estimator.step(np.stack([ideal_q(1)] * 2), 4, 9, positions=[(50, 50), (52, 50)])
     np.testing.assert_allclose(both[0], update(old, ideal_q(1)[None], model)[0])
     np.testing.assert_allclose(both[1], update(np.full((1, 4), 0.25), ideal_q(1)[None], model)[0])
 
 
 def test_a_new_track_may_take_its_neighbours_belief_by_eq_5():
     model = measurement_model(BASIN, 2.5)
-    settings = Features(motion_model="inverse_distance", new_belief="neighbours")
-    estimator = FeatureEstimator(settings, model)
-    old = estimator.step(
-        groups(4, 5, positions=[(50, 50), (80, 50)]), np.stack([ideal_q(1), ideal_q(4)])
-    )
-    new = estimator.step(groups(9, positions=[(60, 50)]), ideal_q(3)[None])
+    estimator = Estimator(motion_model="inverse_distance", new_belief="neighbours")
+    measured = np.stack([ideal_q(1), ideal_q(4)])
+    old = estimator.step(measured, 4, 5, positions=[(50, 50), (80, 50)])
+    new = estimator.step(ideal_q(3)[None], 9, positions=[(60, 50)])
     mixed = (2 * old[:1] + old[1:]) / 3  # 10 and 20 pixels away
     np.testing.assert_allclose(new, update(mixed, ideal_q(3)[None], model))
 

@@ -34,8 +34,8 @@ from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler
-from sonarrec.recogniser.stage3.track_matrix import TrackMatrix
 from sonarrec.recogniser.three_stages import FRAMEWORK, DiscStages
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import poses
@@ -166,7 +166,7 @@ PARTS: dict[str, tuple[float | None, tuple[tuple[object, str], ...]]] = {
         (
             (CandidateSelector, "levels"),
             (ShapeSampler, "__call__"),
-            (TrackMatrix, "step"),
+            (AppearanceMeasurement, "gather"),
             (DiscStages, "stage3"),
         ),
     ),

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IntArray
+from sonarrec.arrays import ByteImage, FloatArray, FloatImage, Table
 from sonarrec.landmarks import WIDEST_SIGMA
 from sonarrec.recogniser.drawn.pose import EXPLAINED, Drawing, Fit, PoseFitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
-from sonarrec.records import Groups, Motion, Selection
+from sonarrec.recogniser.tracks import Tracks
+from sonarrec.records import Motion, Selection
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
 # frame before: noise reaches .56 and .40.
@@ -52,33 +53,33 @@ class _Plate:
 
 
 class Plates:
-    """The groups, and the poses of their plates."""
+    """The groups, and the poses of their plates.
 
-    def __init__(self, fitter: PoseFitter, groups: ContinuityFilter) -> None:
+    Its columns of the tracks: plate: (n,) the _Plate, or None. age: (n,) frames in view. searched:
+    (n,) how often the pose was looked for.
+    """
+
+    def __init__(self, fitter: PoseFitter, tracks: Tracks, groups: ContinuityFilter) -> None:
         self._fitter, self._plane, self._groups = fitter, fitter.plane, groups
-        self._plates: dict[int, _Plate] = {}
-        self._ages: dict[int, int] = {}
-        self._searched: dict[int, int] = {}
+        self._tracks = tracks
+        tracks.declare(plate=None, age=-1, searched=0)
 
-    def begin_stretch(self) -> None:
-        """Forget the groups and their plates; numbers go on."""
-        self._plates, self._ages, self._searched = {}, {}, {}
-        self._groups.begin_stretch()
-
-    def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Groups:
-        """The groups after one frame, each in the middle of its plate.
+    def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Table:
+        """The tracks in view after one frame, each in the middle of its plate.
 
         motion: as in ContinuityFilter.
         """
         fine = smooth(image)
-        self.follow(fine)
-        groups = self.join(fine, self._groups.step(self.lead(selection), motion))
-        self._groups.centre(groups)
-        return groups
+        known = self.follow(fine)
+        self._groups.step(self.lead(selection, known), motion)
+        self.search_plates(fine)
+        return self._groups.centre()
 
-    def follow(self, image: FloatImage) -> None:
-        """Fit every known plate in the next frame."""
-        for plate in self._plates.values():
+    def follow(self, image: FloatImage) -> list[Fit]:
+        """Fit every known plate in the next frame. Returns those that are seen, the best first."""
+        plates = self._tracks["plate"]
+        known = [(row, plate) for row, plate in enumerate(plates) if plate is not None]
+        for _, plate in known:
             fit = self._fitter.near(image, plate.fit)
             plate.seen = self._is_clear(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
@@ -86,20 +87,16 @@ class Plates:
                 plate.began += (fit.row, fit.way) != (plate.fit.row, plate.fit.way)
                 plate.fit = fit
         # Plates do not overlap: of two the better fit stays.
-        kept: dict[int, _Plate] = {}
-        for number, plate in sorted(self._plates.items(), key=lambda item: -item[1].fit.odds):
-            hidden = any(
-                other.seen
-                and self._fitter.halves_off(other.fit.pose, plate.fit.pose[:2]) < EXPLAINED
-                for other in kept.values()
-            )
-            if plate.missed <= LOST_FRAMES and not hidden:
-                kept[number] = plate
-        self._plates = kept
+        seen: list[Fit] = []
+        for row, plate in sorted(known, key=lambda item: -item[1].fit.odds):
+            if plate.missed > LOST_FRAMES or self._overlaps(plate.fit, [f.pose for f in seen]):
+                plates[row] = None
+            elif plate.seen:
+                seen.append(plate.fit)
+        return seen
 
-    def lead(self, selection: Selection) -> Selection:
-        """Stage 1's selection, with the plates that were found as candidates."""
-        seen = [plate.fit for plate in self._plates.values() if plate.seen]
+    def lead(self, selection: Selection, seen: Sequence[Fit]) -> Selection:
+        """Stage 1's selection, with the plates that were found, `seen`, as candidates."""
         if not seen:
             return selection
         score, positions = selection.score_map.copy(), selection.positions
@@ -115,56 +112,58 @@ class Plates:
             scores=np.concatenate([[fit.match for fit in seen], selection.scores[others]]),
         )
 
-    def join(self, image: FloatImage, groups: Groups) -> Groups:
-        """Look for the plates of new groups; the groups, each in the middle of its plate."""
-        numbers = groups.numbers.tolist()
-        self._ages = {n: self._ages.get(n, -1) + 1 for n in numbers}
-        self._plates = {n: self._plates[n] for n in numbers if n in self._plates}
-        self._searched = {n: self._searched.get(n, 0) for n in numbers}
-        position = dict(zip(numbers, groups.positions, strict=True))
-        waiting = sorted((self._searched[n], n) for n in numbers if self._wanting(n))
+    def search_plates(self, image: FloatImage) -> None:
+        """Look for the plates of new tracks, and put each track in the middle of its plate."""
+        tracks, lost, rows = self._tracks, self._tracks["remembered"], self._tracks.in_view
+        tracks["plate"][lost], tracks["age"][lost], tracks["searched"][lost] = None, -1, 0
+        tracks["age"][rows] += 1
+        waiting = sorted((tracks["searched"][row], row) for row in rows if self._wanting(row))
         new = bool(waiting) and waiting[0][0] < FIRST
-        for _, number in waiting[: FIRST_SEARCHES if new else SEARCHES]:
-            self._searched[number] += 1
-            plate = self._plates.get(number)
-            self._search(image, number, position[number] if plate is None else plate.fit.pose[:2])
-        positions, spread = groups.positions.copy(), groups.spread.copy()
-        shown = np.zeros(len(numbers), bool)
-        for i, number in enumerate(numbers):
-            plate = self._plates.get(number)
+        for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]:
+            tracks["searched"][row] += 1
+            self._search(image, row)
+        for row, plate in zip(rows, tracks["plate"][rows], strict=True):
             if plate is not None and plate.seen:
-                positions[i], spread[i], shown[i] = plate.fit.pose[:2], POSE_SPREAD, True
-        return replace(groups, positions=positions, spread=spread, in_view=groups.in_view & shown)
+                tracks["position"][row], tracks["spread"][row] = plate.fit.pose[:2], POSE_SPREAD
+            else:
+                tracks["shown"][row] = False
 
-    def of(self, groups: Groups) -> list[tuple[Fit, int] | None]:
-        """For each group the fit in this frame, and the number of its picture; None: not seen."""
-        plates = [self._plates.get(n) for n in groups.numbers.tolist()]
+    def in_view(self) -> list[tuple[Fit, int] | None]:
+        """Of each track in view the fit in this frame, and the number of its picture; None: not
+        seen."""
+        plates = self._tracks["plate"][self._tracks.in_view]
         return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
 
-    def follow_by(self, numbers: IntArray, drawings: Sequence[Drawing | None]) -> None:
-        """Follow each group by this drawing from now on; None: by the one it has."""
-        for number, drawing in zip(numbers.tolist(), drawings, strict=True):
+    def follow_by(self, drawings: Sequence[Drawing | None]) -> None:
+        """Follow each track in view by this drawing from now on; None: by the one it has."""
+        for plate, drawing in zip(
+            self._tracks["plate"][self._tracks.in_view], drawings, strict=True
+        ):
             if drawing is not None:
-                plate = self._plates[number]
                 plate.fit = replace(plate.fit, row=drawing[0], way=drawing[1])
 
-    def _wanting(self, number: int) -> bool:
-        """Whether the pose of a group's plate is to be looked for."""
-        plate = self._plates.get(number)
+    def _wanting(self, row: int) -> bool:
+        """Whether the pose of a track's plate is to be looked for."""
+        plate, age = self._tracks["plate"][row], self._tracks["age"][row]
         sure = plate is not None and plate.seen and plate.fit.odds >= SURE
-        return self._searched[number] < FIRST or (not sure and self._ages[number] % OFTEN == 0)
+        return bool(self._tracks["searched"][row] < FIRST or (not sure and age % OFTEN == 0))
 
-    def _search(self, image: FloatImage, number: int, position: FloatArray) -> None:
-        others = [p.fit.pose for n, p in self._plates.items() if n != number]
-        fit, plate = self._fitter.search(image, position, others), self._plates.get(number)
-        if not self._is_clear(fit, LEAST_MATCH):
-            return
-        if any(self._fitter.halves_off(other, fit.pose[:2]) < EXPLAINED for other in others):
+    def _search(self, image: FloatImage, row: int) -> None:
+        plates = self._tracks["plate"]
+        plate = plates[row]
+        others = [p.fit.pose for p in plates if p is not None and p is not plate]
+        position = self._tracks["position"][row] if plate is None else plate.fit.pose[:2]
+        fit = self._fitter.search(image, position, others)
+        if not self._is_clear(fit, LEAST_MATCH) or self._overlaps(fit, others):
             return
         if plate is None:
-            self._plates[number] = _Plate(fit, seen=True, began=0)
+            plates[row] = _Plate(fit, seen=True, began=0)
         elif not plate.seen or fit.odds > plate.fit.odds + BETTER:
-            self._plates[number] = _Plate(fit, seen=True, began=plate.began + 1)
+            plates[row] = _Plate(fit, seen=True, began=plate.began + 1)
+
+    def _overlaps(self, fit: Fit, others: Sequence[FloatArray]) -> bool:
+        """Whether a fit lies on another plate. others: poses."""
+        return any(self._fitter.halves_off(o, fit.pose[:2]) < EXPLAINED for o in others)
 
     def _is_clear(self, fit: Fit, least: float) -> bool:
         """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""

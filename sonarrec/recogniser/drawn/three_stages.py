@@ -24,6 +24,7 @@ from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, ups
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages, Tracked
+from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Fan, Frame, Selection
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
@@ -53,34 +54,29 @@ class PlateStages(ThreeStages):
             config.candidates, plane, landmarks, beam_width_deg, PlateScore(plane)
         )
         self.odometry = Odometry(plane, continuity, None if landmarks.pose == "free" else poses)
-        groups = ContinuityFilter(continuity, plane, np.random.default_rng(config.seed))
-        self._plates = Plates(fitter, groups)
-        self._measurement = PlateMeasurement(
-            fitter, features.memory_frames, continuity.remember_frames
-        )
+        self._tracks = Tracks()
+        rng = np.random.default_rng(config.seed)
+        groups = ContinuityFilter(continuity, plane, self._tracks, rng)
+        self._plates = Plates(fitter, self._tracks, groups)
+        self._measurement = PlateMeasurement(fitter, self._tracks, features.memory_frames)
         self._estimates = Estimates(config, plane, landmarks)
-
-    def begin_stretch(self) -> None:
-        self.odometry.begin_stretch()
-        self._plates.begin_stretch()
 
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         # How did the sonar move since the frame before?
         motion = self.odometry.step(image, frame.timestamp_ns)
         # Track the candidates by groups of particles (Eq. 3 and 4), and fit a pose to each plate.
-        groups = self._plates.step(image, candidates, motion)
+        tracks = self._plates.step(image, candidates, motion)
         # Average the pictures of the plates along their tracks. Each is followed by the drawing
         # that its average matches best.
-        evidence, drawings = self._measurement.gather(groups, self._plates.of(groups))
-        self._plates.follow_by(groups.numbers, drawings)
+        evidence, drawings = self._measurement.gather(self._plates.in_view())
+        self._plates.follow_by(drawings)
         return Tracked(
             index=frame.index,
             timestamp_ns=frame.timestamp_ns,
             motion=motion,
             candidates=candidates.positions,
             scores=candidates.scores,
-            groups=groups,
-            evidence=evidence,
+            tracks=tracks.with_columns(**evidence),
             stretch=frame.stretch,
         )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.stage3 import likeliest
-from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinions
+from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion
 from sonarrec.records import Estimate, FrameResult
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
@@ -18,6 +20,38 @@ LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
 # could have declared one. On recordings of other simulators .4 lost .033 of the TPR and saved no
 # false claim.
 LEAST_SHARE = 0.25
+
+
+class _Pool(Opinion):
+    """The pool of one episode of a track, and what its frames declared.
+
+    with_evidence: number of frames in which an ID could be declared (see Beliefs). declared: in how
+    many each ID was. orientations: of each ID, by the frame with its highest score: (score,
+    orientation in degrees from the line of sight at the track's beginning, its standard error).
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.with_evidence = 0
+        self.declared = Counter[int]()
+        self.orientations: dict[int, tuple[float, float, float]] = {}
+
+    def learn(self, estimate: Estimate) -> None:
+        """Add a frame's estimate."""
+        self.add(estimate.probabilities)
+        self.with_evidence += estimate.enough_evidence
+        self.declared[estimate.landmark] += estimate.declared
+        if estimate.score > self.orientations.get(estimate.landmark, (0.0,))[0]:
+            orientation = estimate.orientation_deg + _sight_rotation(estimate)
+            surest = estimate.score, orientation, estimate.orientation_sigma_deg
+            self.orientations[estimate.landmark] = surest
+
+    def join(self, other: Self) -> None:
+        super().join(other)
+        self.with_evidence += other.with_evidence
+        self.declared += other.declared
+        for landmark, surest in other.orientations.items():
+            self.orientations[landmark] = max(surest, self.orientations.get(landmark, surest))
 
 
 class Hindsight:
@@ -43,27 +77,39 @@ class Hindsight:
         self.lag = config.features.lag_frames
         self._threshold = config.features.declare
         self._ids = landmarks.ids
-        self._opinions = Opinions(len(landmarks.ids))
         self._frame = 0  # a count, since the numbers of a log's frames may jump
+        # Of each episode of a track its pool, and the frame that was last added; of each track its
+        # last episode.
+        self._pools: dict[tuple[int, int], tuple[_Pool, int]] = {}
+        self._episode: dict[int, int] = {}
 
     def learn(self, result: FrameResult) -> None:
-        """Add a frame's estimates to the opinions of their tracks."""
+        """Add a frame's estimates to the pools of their tracks."""
         self._frame += 1
         for estimate in result.estimates:
-            if estimate.method != self._method:
-                continue
-            opinion = self._opinions.current(estimate.object, estimate.episode, self._frame)
-            opinion.add(estimate.probabilities)
-            opinion.with_evidence += estimate.enough_evidence
-            if estimate.declared:
-                frames = opinion.declared.get(estimate.landmark, 0)
-                opinion.declared[estimate.landmark] = frames + 1
-            if estimate.score > opinion.orientations.get(estimate.landmark, (0.0,))[0]:
-                orientation = estimate.orientation_deg + _sight_rotation(estimate)
-                surest = estimate.score, orientation, estimate.orientation_sigma_deg
-                opinion.orientations[estimate.landmark] = surest
+            if estimate.method == self._method:
+                self._pool(estimate.object, estimate.episode).learn(estimate)
         # No result that still waits is of an older track.
-        self._opinions.drop_before(self._frame - 2 * self.lag)
+        before = self._frame - 2 * self.lag
+        for key in [key for key, (_, frame) in self._pools.items() if frame < before]:
+            del self._pools[key]
+            if self._episode.get(key[0]) == key[1]:
+                del self._episode[key[0]]
+
+    def _pool(self, track: int, episode: int) -> _Pool:
+        """The pool of an episode, to which a frame is to be added.
+
+        If an earlier episode is resumed (see AppearanceMeasurement), its pool and that of the
+        episode it replaces become one.
+        """
+        pool, _ = self._pools.get((track, episode), (_Pool(), 0))
+        last = self._episode.get(track, episode)
+        if last > episode:
+            other, frame = self._pools[track, last]
+            pool.join(other)
+            self._pools[track, last] = pool, frame
+        self._episode[track], self._pools[track, episode] = episode, (pool, self._frame)
+        return pool
 
     def revised(self, result: FrameResult) -> FrameResult:
         """A past result, which `learn` has had, with its tracks' beliefs by now."""
@@ -71,26 +117,24 @@ class Hindsight:
         own = [i for i, e in enumerate(estimates) if e.method == self._method]
         if not own:
             return result
-        opinions = [self._opinions.get(estimates[i].object, estimates[i].episode) for i in own]
-        # Each pool is sharpened as by TrackBelief.
-        pools = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * np.stack([o.mean() for o in opinions]))
-        beliefs = pools / pools.sum(axis=1, keepdims=True)
+        pools = [self._pools[estimates[i].object, estimates[i].episode][0] for i in own]
+        # Each is sharpened as by `pooled`.
+        beliefs = np.exp((FRAME_EXPONENT + TRACK_EXPONENT) * np.stack([p.mean() for p in pools]))
+        beliefs /= beliefs.sum(axis=1, keepdims=True)
         best, scores = likeliest(beliefs)
         claimed = declared(scores, self._threshold)
-        for n, (i, opinion) in enumerate(zip(own, opinions, strict=True)):
-            if claimed[n] and opinion.beliefs_sum[best[n]] < LEAST_MEAN_BELIEF * opinion.frames:
+        for n, (i, pool) in enumerate(zip(own, pools, strict=True)):
+            if claimed[n] and pool.beliefs[best[n]] < LEAST_MEAN_BELIEF * pool.frames:
                 continue
             estimate, landmark = estimates[i], self._ids[best[n]]
             if not (estimate.declared and claimed[n] and landmark == estimate.landmark):
-                own_frames = opinion.declared.get(estimate.landmark, 0)
-                new_frames = opinion.declared.get(landmark, 0)
-                if estimate.declared and 2 * own_frames > opinion.frames:
+                if estimate.declared and 2 * pool.declared[estimate.landmark] > pool.frames:
                     continue  # most frames declared what it would take back
-                if claimed[n] and new_frames < LEAST_SHARE * opinion.with_evidence:
+                if claimed[n] and pool.declared[landmark] < LEAST_SHARE * pool.with_evidence:
                     continue  # too few frames declared what it would add
             rotation = _sight_rotation(estimate)
             unknown = (0.0, estimate.orientation_deg + rotation, np.nan)
-            _, orientation, sigma = opinion.orientations.get(landmark, unknown)
+            _, orientation, sigma = pool.orientations.get(landmark, unknown)
             estimates[i] = replace(
                 estimate,
                 probabilities=beliefs[n],

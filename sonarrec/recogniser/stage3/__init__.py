@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,21 +33,6 @@ class Beliefs:
     lit: FloatArray | None = None
     """(n, ANGLES) probability that the symbol is lit in each direction from the line of sight on,
     counter-clockwise; NaN where nothing was read."""
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """The evidence on n objects, gathered along their tracks."""
-
-    brightness: FloatArray
-    """(n, L, ANGLES) shape matrices."""
-    count: FloatArray
-    """(n, L, ANGLES) how often each cell was seen."""
-    frames: IntArray
-    """(n,) frames since the track began, or since it came back into view."""
-    episodes: IntArray
-    """(n,) number of the track's episode: a track that comes back into view and looks different
-    begins a new one. 0 in the published measurement, which keeps no pictures."""
 
 
 def rounded(values: FloatArray) -> FloatArray:

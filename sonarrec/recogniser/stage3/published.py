@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, Columns, FloatArray, Table, stacked
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3 import Beliefs, Evidence
+from sonarrec.recogniser.stage3 import Beliefs
 from sonarrec.recogniser.stage3.smi import Identification, without_none
-from sonarrec.records import Groups
+from sonarrec.recogniser.tracks import Tracks
 
 # Measurement models, rows k = true ID, columns j = measured ID.
 TABLE_2 = np.array(  # range window 1.25 m
@@ -77,88 +77,71 @@ def update(predicted: FloatArray, measured: FloatArray, model: FloatArray) -> Fl
     return np.asarray(belief / belief.sum(axis=1, keepdims=True))
 
 
-class FeatureEstimator:
-    """The beliefs of all objects in view over H hypotheses."""
+class _Belief:
+    """In what a track is: (K,), None before its first frame."""
 
-    def __init__(self, config: Features, model: FloatArray) -> None:
-        """model: (H, H) measurement model, rows = true, columns = measured."""
-        self._config = config
-        self._model = model
-        self.begin_stretch()
-
-    def begin_stretch(self) -> None:
-        """Forget all objects."""
-        self._numbers: list[int] = []
-        # Of the objects in view, which come first; remembered ones have no position.
-        self._positions: FloatArray = np.empty((0, 2))
-        self._beliefs: FloatArray = np.empty((0, len(self._model)))
-
-    def step(self, groups: Groups, measured: FloatArray) -> FloatArray:
-        """(n, H) beliefs after this frame. measured: (n, H) q of Eq. 8."""
-        predicted = self._predict(groups)
-        beliefs = update(predicted, measured, self._model)
-        remembered = set(groups.remembered.tolist())
-        kept = [i for i, number in enumerate(self._numbers) if number in remembered]
-        self._numbers = [*groups.numbers.tolist(), *(self._numbers[i] for i in kept)]
-        self._beliefs = np.concatenate([beliefs, self._beliefs[kept]])
-        self._positions = groups.positions
-        return beliefs
-
-    def _predict(self, groups: Groups) -> FloatArray:
-        """(n, H) Eq. 5. Setting `new_belief` says what is believed of a new object."""
-        config, hypotheses = self._config, len(self._model)
-        numbers, before = groups.numbers.tolist(), self._positions
-        row = {number: i for i, number in enumerate(self._numbers)}
-        known = [i for i, number in enumerate(numbers) if number in row]
-        mixed = config.motion_model == "inverse_distance" and len(before) > 0
-        if mixed and config.new_belief == "neighbours":
-            known = list(range(len(numbers)))
-        predicted = np.full((len(numbers), hypotheses), 1 / hypotheses)
-        if known and mixed:
-            same = motion_model(groups.positions[known], before, config.distance_power)
-            predicted[known] = same @ self._beliefs[: len(before)]
-        elif known:
-            predicted[known] = self._beliefs[[row[numbers[i]] for i in known]]
-        return predicted
+    now: FloatArray | None = None
 
 
 class PublishedMeasurement:
-    """Similarities of single frames, and the beliefs by Eq. 5 to 8."""
+    """Similarities of single frames, and the beliefs by Eq. 5 to 8.
+
+    Its column of the tracks: belief: (n,) of _Belief.
+    """
 
     def __init__(
         self,
         config: Features,
+        tracks: Tracks,
         identify: Callable[[FloatArray, BoolArray], Identification],
         landmarks: LandmarkSet,
         window_m: float,
     ) -> None:
         """identify: SMI of (n, L, ANGLES) matrices. window_m: as in measurement_model."""
-        self._least_ring = config.least_ring
-        self._identify = identify
-        self._estimator = FeatureEstimator(config, measurement_model(landmarks, window_m))
+        self._config, self._tracks, self._identify = config, tracks, identify
+        self._model = measurement_model(landmarks, window_m)
+        tracks.declare(belief=_Belief)
+        self.begin_stretch()
 
     def begin_stretch(self) -> None:
-        """Forget all objects."""
-        self._estimator.begin_stretch()
+        """Forget the frame before."""
+        # Positions of its tracks, and the beliefs in these.
+        self._before: tuple[FloatArray, FloatArray] = np.empty((0, 2)), np.empty((0, 0))
 
-    def gather(
-        self,
-        groups: Groups,  # noqa: ARG002
-        grey: FloatArray,
-        seen: BoolArray,
-    ) -> Evidence:
+    def gather(self, grey: FloatArray, seen: BoolArray) -> Columns:
         """The frame's own matrices (n, L, ANGLES), from ShapeSampler, as evidence."""
-        brightness = np.where(seen, grey, 0.0)
-        n = len(grey)
-        return Evidence(brightness, seen.astype(float), np.ones(n, np.int64), np.zeros(n, np.int64))
+        belief = self._tracks["belief"][self._tracks.in_view]
+        return {"grey": grey, "seen": seen, "belief": belief, "episode": np.zeros(len(grey), int)}
 
-    def beliefs(self, groups: Sequence[Groups], evidence: Evidence) -> Beliefs:
-        """Beliefs about the groups of consecutive frames; evidence: from `gather`, concatenated.
+    def beliefs(self, frames: Sequence[Table]) -> Beliefs:
+        """Beliefs about the tracks of consecutive frames.
 
         The paper has no 'none of these', so its belief is 0.
         """
-        single = self._identify(evidence.brightness, evidence.count > 0)
-        ends = np.cumsum([len(g.numbers) for g in groups])[:-1]
-        measured = np.split(single.measurement(self._least_ring), ends)
-        beliefs = [self._estimator.step(g, q) for g, q in zip(groups, measured, strict=True)]
+        tracks = stacked(frames)
+        single = self._identify(tracks["grey"], tracks["seen"])
+        ends = np.cumsum([len(frame) for frame in frames])[:-1]
+        measured = np.split(single.measurement(self._config.least_ring), ends)
+        beliefs = [self.update(f, q) for f, q in zip(frames, measured, strict=True)]
         return without_none(np.concatenate(beliefs), single.rotation)
+
+    def update(self, tracks: Table, measured: FloatArray) -> FloatArray:
+        """(n, K) beliefs about the tracks of the next frame. measured: (n, K) q of Eq. 8."""
+        beliefs = update(self._predicted(tracks), measured, self._model)
+        for belief, now in zip(tracks["belief"], beliefs, strict=True):
+            belief.now = now
+        self._before = tracks["position"], beliefs
+        return beliefs
+
+    def _predicted(self, tracks: Table) -> FloatArray:
+        """(n, K) Eq. 5. Setting `new_belief` says what is believed of a new object."""
+        config, (before, beliefs) = self._config, self._before
+        predicted = np.full((len(tracks), len(self._model)), 1 / len(self._model))
+        known = np.array([belief.now is not None for belief in tracks["belief"]], bool)
+        if config.motion_model == "inverse_distance" and len(before):
+            known |= config.new_belief == "neighbours"
+            same = motion_model(tracks["position"][known], before, config.distance_power)
+            predicted[known] = same @ beliefs
+        elif known.any():
+            predicted[known] = [belief.now for belief in tracks["belief"][known]]
+        return predicted

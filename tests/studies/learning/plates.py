@@ -25,7 +25,6 @@ from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.drawn.stage2 import smooth
-from sonarrec.recogniser.drawn.stage3 import PlateEvidence
 from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
 from sonarrec.records import Frame
 from sonarrec.simulation.render import SimulatedFrame, render
@@ -225,17 +224,15 @@ def lessons_of_tracks(seed: int) -> list[Part]:
     found: list[tuple[FloatArray, ...]] = []
     for shot, frame in frames:
         image = stages.working_image(frame)
-        after = stages.stage2(frame, image, stages.stage1(image))
-        evidence, groups = after.evidence, after.groups
-        assert isinstance(evidence, PlateEvidence)
-        middles = plane_from_polar(*stages.plane.to_polar(*groups.positions.T))
+        tracks = stages.stage2(frame, image, stages.stage1(image)).tracks
+        middles = plane_from_polar(*stages.plane.to_polar(*tracks["position"].T))
         label = np.full(len(middles), len(ids))
         for true in shot.truth:
             place = plane_from_polar(np.array([true.range_m]), np.array([true.bearing_deg]))
             label[np.hypot(*(middles - place).T) < NEAR_M] = ids.index(true.landmark)
-        features = of_ids(evidence.matches, evidence.rival, evidence.odds)
-        kept = groups.in_view
-        found.append((features[kept], label[kept], groups.numbers[kept]))
+        features = of_ids(tracks["matches"], tracks["rival"], tracks["odds"])
+        kept = tracks["shown"]
+        found.append((features[kept], label[kept], tracks["number"][kept]))
     features, label, track = (np.concatenate(part) for part in zip(*found, strict=True))
     _, index, count = np.unique(track, return_inverse=True, return_counts=True)
     return [(features, label, np.minimum(1, FRAMES_COUNTED / count[index]))] if len(label) else []

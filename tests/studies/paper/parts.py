@@ -39,10 +39,9 @@ class Parts:
         after = self.stages.stage2(frame, image, selection)
         made = list(self.stages.stage3([after])[0].estimates)
         smi = [e for e in made if e.method.startswith(SMI)]
-        held = identify(
-            after.evidence.brightness, after.evidence.count > 0, self._bands, self._codes
-        )
-        continuity = self._estimates(after.groups.positions, held.measurement(), held.score)
+        tracks = after.tracks
+        held = identify(tracks["grey"], tracks["seen"], self._bands, self._codes)
+        continuity = self._estimates(tracks["position"], held.measurement(), held.score)
         return [*made, *once(smi), *continuity, *once(continuity)]
 
     def _estimates(
