@@ -225,8 +225,7 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
         counts.rows(name, source, protocol)
         for name, source in (("base", ""), ("declared", method), ("claims", method))
     )
-    for landmark in counts.landmarks:
-        roc = counts.curve(method, protocol, landmark)
+    for landmark, roc in counts.curves(method, protocol):
         exact = np.stack([roc[name] for name in COUNTS])
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
