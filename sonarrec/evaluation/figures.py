@@ -370,7 +370,6 @@ def differences(
 class Summary(NamedTuple):
     """Figures with intervals, and differences between each two methods, in total."""
 
-    units: Units
     figures: tuple[Figure, ...]
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]
@@ -383,8 +382,7 @@ class Summary(NamedTuple):
 
 def summarise(counts: Counts) -> Summary:
     """Figures, intervals and tests of an evaluation."""
-    units = counts.units
-    weights, tosses = draws(units.number)
+    weights, tosses = draws(counts.units.number)
     figures: list[Figure] = []
     totals: dict[str, list[Sample]] = {}  # by kind and protocol
     for sample in samples(counts):
@@ -398,7 +396,7 @@ def summarise(counts: Counts) -> Summary:
             a, b = sorted(pair, key=lambda sample: follows(sample.method))
             tests += differences(a, b, weights, tosses)
     notes = tuple(map(printable, few_units(counts, figures)))
-    return Summary(units, tuple(figures), tuple(tests), notes)
+    return Summary(tuple(figures), tuple(tests), notes)
 
 
 def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:

@@ -165,7 +165,7 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     lines = labelled_frames(counts.frames, evaluation.left_out) + _paper_tables(counts)
     names = [name for name, metric in METRICS.items() if metric.brief or details]
     for protocol in (main, *others) if details else (main,):
-        lines += ["", f"protocol {protocol}, all IDs{over_units(summary.units)}"]
+        lines += ["", f"protocol {protocol}, all IDs{over_units(counts.units)}"]
         columns = (WIDTH - LABEL) // COLUMN
         for first in range(0, len(counts.methods), columns):
             some = counts.methods[first : first + columns]
@@ -174,7 +174,7 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
                 lines.append(_row(label, list(map(_text, row))))
     tests = differences(summary, main)
     if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
-        test = f"paired sign-flip test over {units_text(summary.units)}"
+        test = f"paired sign-flip test over {units_text(counts.units)}"
         lines += [*([""] if details else []), f"protocol {main}, differences; {test}"]
         for pair, cells in tests:
             by_label = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}

@@ -171,8 +171,8 @@ def _scores(
     return {
         "protocols": protocols,
         "rates": screen.rates(counts, summary),
-        "units": units_text(summary.units),
-        "over": over_units(summary.units),
+        "units": units_text(counts.units),
+        "over": over_units(counts.units),
         "others": screen.figures(summary, protocols[0], methods, others),
         "tested": [METRICS[name].label for name in screen.TESTED],
         "differences": screen.differences(summary, protocols[0]),

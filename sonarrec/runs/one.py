@@ -9,7 +9,6 @@ from dataclasses import replace
 from heapq import nlargest
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
 
 from sonarrec.errors import SonarrecError, is_url
 from sonarrec.readers.log import FIRST_FRAMES
@@ -24,17 +23,6 @@ from sonarrec.runs.prepare import PreparedRun, prepare
 
 MOST_SIGHTINGS = 20
 """Kept of each method in an Outcome; sightings.csv has all."""
-
-
-class EndedRun(NamedTuple):
-    """A run at its end, for those that advise on it."""
-
-    job: Job
-    run: PreparedRun
-    first: Sequence[Frame]
-    """Its first FIRST_FRAMES."""
-    has_sightings: bool
-    """Whether any landmark was declared."""
 
 
 def result_names(logs: Sequence[str | Path]) -> list[str]:
@@ -75,11 +63,11 @@ def plan_job(job: Job) -> str:
     with at_hand(job) as local, prepare(local) as run:
         if local.overwrite:
             return "done again (asked for)"
-        existing = existing_results(local.folder, run.table)
-        if existing.up_to_date:
+        same, reason = existing_results(local.folder, run.table)
+        if same is not None:
             return "; ".join(["up to date", *rerun_left(local.folder)])
-        if existing.reason:
-            return f"done again ({existing.reason})"
+        if reason:
+            return f"done again ({reason})"
         stopped = part_of(local.folder).exists()
         return "done again (it was stopped before its end)" if stopped else "new"
 
@@ -116,31 +104,28 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
         diagnostics, methods = run.log.diagnostics, run.recogniser.tracking
         # Are these very results there?
         if not job.overwrite:
-            existing = existing_results(job.folder, run.table)
-            if existing.up_to_date:
+            same, reason = existing_results(job.folder, run.table)
+            if same is not None:
                 return _with_sightings(
                     methods,
                     Outcome(
-                        status="partial" if existing.problems else "done",
+                        status="partial" if same.problems else "done",
                         folder=job.folder,
-                        frames=existing.frames,
-                        unusable=existing.unusable,
-                        candidates=existing.candidates,
-                        problems=existing.problems,
+                        frames=same.frames_processed,
+                        unusable=same.frames_unusable,
+                        candidates=same.candidates,
+                        problems=same.problems,
                         notes=[job.shown(line) for line in rerun_left(job.folder)],
                         up_to_date=True,
                     ),
                 )
-            if existing.reason:
-                diagnostics.note(
-                    f"earlier results are replaced ({existing.reason})", about=job.folder
-                )
+            if reason:
+                diagnostics.note(f"earlier results are replaced ({reason})", about=job.folder)
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        first = list[Frame]()
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
-            _recognise(run, writer, first, observe)
+            _recognise(run, writer, observe)
             run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
@@ -157,26 +142,20 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
             ),
         )
         if job.advise is not None:
-            ended = EndedRun(job, run, first, any(outcome.passes.values()))
-            diagnostics.advise(job.advise(ended))
+            diagnostics.advise(job.advise(run, has_sightings=any(outcome.passes.values())))
         notes = [*diagnostics.notes, *about_folder]
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
-def _recognise(
-    run: PreparedRun,
-    writer: ResultsWriter,
-    first: list[Frame],
-    observe: Observe | None,
-) -> None:
+def _recognise(run: PreparedRun, writer: ResultsWriter, observe: Observe | None) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = dict[int, Stamps]()  # of frames that are not written yet, in their order
 
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            if len(first) < FIRST_FRAMES:
-                first.append(frame)
+            if len(run.first) < FIRST_FRAMES:
+                run.first.append(frame)
             yield frame
 
     try:
