@@ -417,7 +417,10 @@ def _sentence(
     return "; ".join([*parts, *broken])
 
 
-HEADING = ("log", "method", "protocol", "TPR before", "now", "FPR before", "now", "")
+HEADING = (
+    *("log", "method", "protocol", "TPR before", "now", "FPR before", "now"),
+    *("FP/100 before", "now", ""),
+)
 
 
 def screen(compared: Comparison, judged: Judgement) -> str:
@@ -429,11 +432,14 @@ def screen(compared: Comparison, judged: Judgement) -> str:
     cells: list[tuple[str, ...]] = [HEADING]
     for row in rows:
         texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
-        cells.append((row.log, row.method, row.protocol, *texts, row.mark))
+        of_row = row.method, row.protocol, TOTAL, "" if row.log == TOTAL else row.log
+        both = (side.count(*of_row).false_per_100 for side in (compared.before, compared.after))
+        false = (f"{value:.2f}" for value in both)
+        cells.append((row.log, row.method, row.protocol, *texts, *false, row.mark))
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = [judged.sentence, *labelled_frames(compared.after.frames, compared.left_out)]
     for cell in cells if rows else ():
-        texts = (f"{c:{'<<<>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
+        texts = (f"{c:{'<<<>>>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
         lines.append("  ".join(texts).rstrip())
     if more := len(judged.rows) - len(rows):
         lines.append(number_of(more, "more row"))

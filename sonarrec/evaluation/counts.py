@@ -217,6 +217,8 @@ class Count(NamedTuple):
     fn: int
     positives: int
     """Truths that count, which are the FN without any claim."""
+    frames: int
+    """All that are scored, whatever is in view."""
 
     @property
     def total(self) -> int:
@@ -232,6 +234,11 @@ class Count(NamedTuple):
     def fpr(self) -> float:
         """FP / (FP + TN); NaN for 0/0."""
         return float(ratio(self.fp, self.fp + self.tn))
+
+    @property
+    def false_per_100(self) -> float:
+        """False claims, which are the FP, in 100 frames; NaN without frames."""
+        return float(ratio(100 * self.fp, self.frames))
 
     @property
     def tpr_once(self) -> float:
@@ -363,6 +370,7 @@ class Counts:
     def confusion(self) -> dict[tuple[str, str, str, str], Count]:
         """Counts and rates by method, protocol, log ("": all) and landmark, with the total."""
         counted, names = {}, [*COUNTS, "positives"]
+        frames = [self.frames, *(log.frames for log in self.counted)]
         shape = (1 + len(self.logs), len(self.landmarks), len(names))
         for method in self.methods:
             for protocol in self.protocols:
@@ -376,9 +384,9 @@ class Counts:
                             np.add.at(sums[:, :, n], (1 + rows["log"], k), rows[name])
                 sums[0] = sums.sum(axis=0)
                 sums[:, -1] = sums.sum(axis=1)
-                for log, of_log in zip(("", *self.logs), sums.tolist(), strict=True):
-                    for landmark, counts in zip(self.landmarks, of_log, strict=True):
-                        counted[method, protocol, log, landmark] = Count(*counts)
+                for n, log in enumerate(("", *self.logs)):
+                    for landmark, counts in zip(self.landmarks, sums[n].tolist(), strict=True):
+                        counted[method, protocol, log, landmark] = Count._make([*counts, frames[n]])
         return counted
 
     def count(self, method: str, protocol: str, landmark: str = TOTAL, log: str = "") -> Count:

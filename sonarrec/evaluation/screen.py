@@ -13,7 +13,8 @@ from sonarrec.evaluation.rows import labelled_frames
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
-"""Shown in a table of their own before the other figures."""
+"""Shown before the other figures, in the report in a table of their own."""
+FALSE = "false claims per 100 frames"
 COUNT_ROWS = {"TP": "tp", "TN": "tn", "FP": "fp", "FN": "fn", "beta": "total"}
 TESTED = tuple(name for name, metric in METRICS.items() if metric.kind == "rates")
 """Those whose differences between methods are shown."""
@@ -36,12 +37,14 @@ NONE = Cell("-")
 
 
 class OperatingPoint(NamedTuple):
-    """Rates of one method under one protocol, and its mistakes: FN and FP."""
+    """Rates of one method under one protocol, and its mistakes: FN and FP, and these in 100
+    frames."""
 
     tpr: Cell
     fpr: Cell
     missed: int
     false: int
+    false_per_100: str
 
 
 def protocols(counts: Counts) -> list[str]:
@@ -99,6 +102,7 @@ def _point(count: Any, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
         fpr._replace(value=rate(count.fp, negatives) if negatives else NONE.value),
         count.fn,
         count.fp,
+        number(count.false_per_100, 2),
     )
 
 
@@ -170,8 +174,10 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
         for first in range(0, len(counts.methods), columns):
             some = counts.methods[first : first + columns]
             lines.append(_row("", [m[: COLUMN - 1] for m in some]))
-            for label, row in figures(summary, protocol, some, names):
-                lines.append(_row(label, list(map(_text, row))))
+            rows = figures(summary, protocol, some, names)
+            false = (counts.count(method, protocol).false_per_100 for method in some)
+            rows.insert(len(HEADLINE), (FALSE, [Cell(number(value, 2)) for value in false]))
+            lines += [_row(label, [_text(cell) for cell in row]) for label, row in rows]
     tests = differences(summary, main)
     if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
         test = f"paired sign-flip test over {units_text(counts.units)}"
@@ -225,12 +231,13 @@ def _row(label: str, columns: Sequence[str]) -> str:
 
 
 def _per_log(counts: Counts, protocol: str) -> list[str]:
-    lines = ["", f"protocol {protocol}, per log"]
-    head = f"{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
+    lines = ["", f"protocol {protocol}, per log; FP/100: {FALSE}"]
+    head = f"{'TPR':>8}{'FPR':>9}{'FP/100':>8}{'TP':>7}{'FP':>6}{'FN':>6}"
     lines.append(f"{'':<{LABEL}}{'method':<{COLUMN}}{head}")
     for log in counts.logs:
         for method in counts.methods:
             c = counts.count(method, protocol, TOTAL, log)
             lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
-            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
+            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}"
+            lines[-1] += f"{number(c.false_per_100, 2):>8}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
     return lines
