@@ -12,13 +12,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, print_notes, say
-from sonarrec.cli.groups import (
-    FOLDER,
-    command,
-    file_names,
-    in_batch,
-    in_output,
-)
+from sonarrec.cli.groups import FOLDER, command, file_names, in_batch, in_output
 from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 
 if TYPE_CHECKING:

@@ -40,9 +40,7 @@ if TYPE_CHECKING:
     help="Print the figures of both protocols, per ID and per log.",
 )
 @in_output(
-    "--json as_json",
-    is_flag=True,
-    help="Print evaluation.json, and nothing else, on stdout.",
+    "--json as_json", is_flag=True, help="Print evaluation.json, and nothing else, on stdout."
 )
 @options.out(
     ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or next to PAIRS]"

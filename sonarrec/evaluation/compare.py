@@ -237,12 +237,9 @@ def _logs(
     diagnostics: Diagnostics,
 ) -> list[LogToScore]:
     """The logs of these old and new folders that have a truth, by name; others are problems."""
-    if ground_truth is None:
-        pairs: Sequence[Pair] = find_truths([now for _, now in folders], diagnostics)
-    elif isinstance(ground_truth, Path) and ground_truth.is_dir():
+    pairs: Sequence[Pair]
+    if ground_truth is None or isinstance(ground_truth, Path):
         pairs = find_truths([now for _, now in folders], diagnostics, ground_truth)
-    elif isinstance(ground_truth, Path):
-        pairs = [Pair(now, ground_truth) for _, now in folders]
     else:
         pairs = ground_truth
     of_name: dict[str | None, Pair] = {}

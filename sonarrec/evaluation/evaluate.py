@@ -301,15 +301,13 @@ def evaluate_logs(
     """
     options.check()
     diagnostics, table = Diagnostics(), None  # the table of all logs; None if each has its own
-    if not isinstance(results, str | Path):
-        pairs = usable_pairs(results, diagnostics)
-    elif ground_truth is None:
-        pairs = find_truths(find_logs(Path(results)), diagnostics)
-    elif Path(ground_truth).is_dir():
-        pairs = find_truths(find_logs(Path(results)), diagnostics, Path(ground_truth))
+    if isinstance(results, str | Path):
+        results, truths = Path(results), None if ground_truth is None else Path(ground_truth)
+        if truths is not None and not truths.is_dir():
+            table = read_truth(truths)
+        pairs = find_truths(find_logs(results), diagnostics, truths)
     else:
-        results, table = Path(results), read_truth(Path(ground_truth))
-        pairs = [Pair(folder, table.path) for folder in find_logs(results)]
+        pairs = usable_pairs(results, diagnostics)
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
     one_truth_of = table and results
     scored, [counts], names = score_logs(logs, options, "scored", diagnostics, one_truth_of, advise)
@@ -324,8 +322,8 @@ def evaluate_logs(
             else diagnostics.problem
         )
         add(*others.problems)
-    if isinstance(results, str | Path):
-        diagnostics.note(*_failed(Path(results)))
+    if isinstance(results, Path):
+        diagnostics.note(*_failed(results))
     diagnostics.note(*_notes(counts))
     summary = summarise(counts)
     return Evaluation(

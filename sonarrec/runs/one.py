@@ -9,6 +9,7 @@ from dataclasses import replace
 from heapq import nlargest
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 from sonarrec.errors import SonarrecError, is_url
 from sonarrec.readers.log import FIRST_FRAMES
@@ -106,18 +107,15 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
         if not job.overwrite:
             same, reason = existing_results(job.folder, run.table)
             if same is not None:
-                return _with_sightings(
+                return _outcome(
+                    job,
                     methods,
-                    Outcome(
-                        status="partial" if same.problems else "done",
-                        folder=job.folder,
-                        frames=same.frames_processed,
-                        unusable=same.frames_unusable,
-                        candidates=same.candidates,
-                        problems=same.problems,
-                        notes=[job.shown(line) for line in rerun_left(job.folder)],
-                        up_to_date=True,
-                    ),
+                    same.problems,
+                    frames=same.frames_processed,
+                    unusable=same.frames_unusable,
+                    candidates=same.candidates,
+                    notes=[job.shown(line) for line in rerun_left(job.folder)],
+                    up_to_date=True,
                 )
             if reason:
                 diagnostics.note(f"earlier results are replaced ({reason})", about=job.folder)
@@ -130,16 +128,13 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
         # Sum up.
-        outcome = _with_sightings(
+        outcome = _outcome(
+            job,
             methods,
-            Outcome(
-                status="partial" if problems else "done",
-                folder=job.folder,
-                frames=writer.frames,
-                unusable=diagnostics.unusable,
-                candidates=writer.candidates,
-                problems=problems,
-            ),
+            problems,
+            frames=writer.frames,
+            unusable=diagnostics.unusable,
+            candidates=writer.candidates,
         )
         if job.advise is not None:
             diagnostics.advise(job.advise(run, has_sightings=any(outcome.passes.values())))
@@ -173,12 +168,15 @@ def _recognise(run: PreparedRun, writer: ResultsWriter, observe: Observe | None)
         raise
 
 
-def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:
-    """The outcome with what is in its sightings.csv. methods: those that follow objects."""
+def _outcome(job: Job, methods: Sequence[str], problems: Sequence[str], **counted: Any) -> Outcome:
+    """The outcome of a job that has results, with what is in their sightings.csv.
+
+    methods: those that follow objects. counted: other fields.
+    """
     passes, landmarks = dict.fromkeys(methods, 0), Counter[int]()
 
     def of_method(method: str) -> Iterator[Sighting]:
-        for sighting in sightings_in(outcome.folder / "sightings.csv"):
+        for sighting in sightings_in(job.folder / "sightings.csv"):
             if sighting.method == method:
                 passes[method] += 1
                 if method == methods[0]:
@@ -189,4 +187,12 @@ def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:
     for method in methods:
         longest = nlargest(MOST_SIGHTINGS, of_method(method), key=lambda s: s.frames_declared)
         sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
-    return replace(outcome, passes=passes, sightings=sightings, landmarks=dict(landmarks))
+    return Outcome(
+        status="partial" if problems else "done",
+        folder=job.folder,
+        problems=problems,
+        passes=passes,
+        sightings=sightings,
+        landmarks=dict(landmarks),
+        **counted,
+    )
