@@ -20,7 +20,6 @@ from sonarrec.errors import number_of, printable
 from sonarrec.evaluation.counts import BINS, MILLION, TOTAL, Counts, Units, of_landmark, ratio
 from sonarrec.evaluation.rows import COUNTS
 from sonarrec.evaluation.uncertainty import (
-    LEVEL,
     MIN_UNITS,
     all_equal,
     draws,
@@ -404,11 +403,8 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
 
     figures: so that one on those with cases in too few of the units can be given.
     """
-    units, logs, passes = (
-        counts.units,
-        len(counts.logs),
-        len(counts.rows("passes", protocol="paper")),
-    )
+    units, logs = counts.units, len(counts.logs)
+    passes = len(counts.rows("passes", protocol="paper"))
     few = [f.units for f in figures if f.landmark == TOTAL and 0 < f.units < MIN_UNITS]
     least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
@@ -427,8 +423,3 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
 def units_text(units: Units) -> str:
     """The number of units with their kind, such as "12 passes"."""
     return number_of(units.number, units.kind, {"pass": "es", "log": "s"}[units.kind])
-
-
-def over_units(units: Units) -> str:
-    """The part of a table's caption about its intervals; empty if there are none."""
-    return f"; {LEVEL:.0%} intervals over {units_text(units)}" if units.number >= MIN_UNITS else ""

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.evaluation.counts import corners
-from sonarrec.evaluation.screen import rate, screen
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
+from sonarrec.reports.screen import rate, screen
 from tests.support.claims import Scored, all_scored, evaluate
 from tests.support.command import sonarrec
 

@@ -14,7 +14,6 @@ from sonarrec.evaluation.figures import (
     Sample,
     differences,
     intervals,
-    over_units,
     rates,
     summarise,
 )
@@ -24,6 +23,7 @@ from sonarrec.evaluation.uncertainty import (
     interval,
     rate_interval,
 )
+from sonarrec.reports.screen import over_units
 from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")

@@ -1,4 +1,4 @@
-"""An evaluation as text: cells for the report's tables too, and the lines for the terminal."""
+"""Scores and comparisons as text: lines for the terminal, cells for the report's tables too."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sonarrec.errors import printable
-from sonarrec.evaluation.counts import TOTAL, Counts
-from sonarrec.evaluation.figures import MAIN, METRICS, Summary, over_units, units_text
-from sonarrec.evaluation.rows import labelled_frames
+import numpy as np
+
+from sonarrec.errors import number_of, printable
+from sonarrec.evaluation.compare import Comparison, Judgement, rate_text
+from sonarrec.evaluation.counts import TOTAL, Counts, Units
+from sonarrec.evaluation.figures import MAIN, METRICS, Summary, units_text
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
@@ -21,6 +24,10 @@ TESTED = tuple(name for name, metric in METRICS.items() if metric.kind == "rates
 WIDTH = 100
 LABEL, COLUMN = 30, 23
 LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
+MOST_ROWS = 24
+"""Of the table of a comparison; of more those of logs that are not worse are left out."""
+MOST_PASSES = 6
+"""Changed passes that are listed."""
 STAR = "* 0/0, printed as in the paper: there is nothing to measure"
 
 
@@ -50,6 +57,18 @@ class OperatingPoint(NamedTuple):
 def protocols(counts: Counts) -> list[str]:
     """The protocols that were scored, the stricter one first."""
     return [*reversed(counts.protocols)]
+
+
+def labelled_frames(scored: int, left_out: int | None) -> list[str]:
+    """A line on how many frames count if these are the labelled ones; left_out: None if all are."""
+    if left_out is None:
+        return []
+    return [f"labelled frames only: {scored} of {scored + left_out}; the others are not scored"]
+
+
+def over_units(units: Units) -> str:
+    """The part of a table's caption about its intervals; empty if there are none."""
+    return f"; {LEVEL:.0%} intervals over {units_text(units)}" if units.number >= MIN_UNITS else ""
 
 
 def paper_table(
@@ -241,3 +260,53 @@ def _per_log(counts: Counts, protocol: str) -> list[str]:
             lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}"
             lines[-1] += f"{number(c.false_per_100, 2):>8}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
     return lines
+
+
+HEADING = (
+    *("log", "method", "protocol", "TPR before", "now", "FPR before", "now"),
+    *("FP/100 before", "now", ""),
+)
+
+
+def comparison(compared: Comparison, judged: Judgement) -> str:
+    """The sentence of a comparison, its table, then the passes that changed most."""
+    rows = judged.rows
+    if len(rows) > MOST_ROWS:
+        worse = [row for row in rows if row.log != TOTAL and row.mark == "worse"]
+        rows = (*worse[:MOST_ROWS], *(row for row in rows if row.log == TOTAL))
+    cells: list[tuple[str, ...]] = [HEADING]
+    for row in rows:
+        texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
+        of_row = row.method, row.protocol, TOTAL, "" if row.log == TOTAL else row.log
+        both = (side.count(*of_row).false_per_100 for side in (compared.before, compared.after))
+        false = (f"{value:.2f}" for value in both)
+        cells.append((row.log, row.method, row.protocol, *texts, *false, row.mark))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [judged.sentence, *labelled_frames(compared.after.frames, compared.left_out)]
+    for cell in cells if rows else ():
+        texts = (f"{c:{'<<<>>>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
+        lines.append("  ".join(texts).rstrip())
+    if more := len(judged.rows) - len(rows):
+        lines.append(number_of(more, "more row"))
+    return "\n".join(map(printable, [*lines, *_changed_passes(compared)]))
+
+
+def _changed_passes(compared: Comparison) -> list[str]:
+    """The passes in which the leading method, under the stricter protocol, changed most."""
+    method = compared.methods[0][1]
+    protocol = max(protocol for protocol, other in compared.methods if other == method)
+    old, new = (
+        passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
+        for passes in (compared.before.passes, compared.after.passes)
+    )
+    change = np.abs(new["right"] - old["right"])
+    order = np.argsort(-change, kind="stable")[:MOST_PASSES]
+    most = new.with_columns(old=old["right"])[order[change[order] > 0]]
+    names = ("log", "first_frame", "last_frame", "landmark", "old", "right", "frames")
+    return [
+        f"{log} frames {first}-{last}, ID.{landmark}: "
+        f"right in {was} -> {now} of {frames} ({method}, {protocol})"
+        for log, first, last, landmark, was, now, frames in zip(
+            *(most[name] for name in names), strict=True
+        )
+    ]
