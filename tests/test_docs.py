@@ -278,8 +278,8 @@ def test_the_columns_of_a_map_are_those_listed() -> None:
     assert listed_columns("map", "passes.csv") == [*PASS_COLUMNS]
 
 
-def test_the_readme_is_at_most_110_lines() -> None:
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 110
+def test_the_readme_is_at_most_115_lines() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 115
 
 
 def test_help_is_short_and_options_are_few() -> None:

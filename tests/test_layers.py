@@ -35,21 +35,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1056,
-    "cli": 3003,
+    "advice": 1055,
+    "cli": 2967,
     "drawing": 681,
-    "evaluation": 3420,
+    "evaluation": 3108,
     "geometry": 437,
     "learning": 524,
     "mapping": 1400,
     "overlays": 624,
     "readers": 6390,
     "recogniser": 5677,
-    "reports": 2324,
-    "results": 1991,
-    "runs": 1626,
+    "reports": 2635,
+    "results": 1970,
+    "runs": 1609,
     "simulation": 2614,
-    "tables": 1020,
+    "tables": 1011,
     "truth": 1219,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

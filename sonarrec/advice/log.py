@@ -16,7 +16,7 @@ from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
 from sonarrec.records import Fan, Frame
 from sonarrec.results.run_file import rerun
-from sonarrec.runs.one import EndedRun
+from sonarrec.runs.prepare import PreparedRun
 from sonarrec.sonar import Sonar
 from sonarrec.tables.outputs import free_name
 
@@ -40,19 +40,22 @@ def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
         yield Advice(steep)
 
 
-def of_run(ended: EndedRun) -> Iterator[Advice]:
-    """On a log that was run; the lines do not name it. Notes only, for its results are done."""
-    run, log, fan, landmarks = ended.run, ended.run.log, ended.run.fan, ended.run.landmarks
+def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
+    """On a log that was run; the lines do not name it. Notes only, for its results are done.
+
+    has_sightings: whether any landmark was declared.
+    """
+    log, fan, landmarks = run.log, run.fan, run.landmarks
     static, saturated, cause = run.recogniser.restored
-    doubts = contradictions(ended.first, log.sonar)
+    doubts = contradictions(run.first, log.sonar)
     narrow = _too_narrow(fan, landmarks)  # which explains what the notes it omits would ask
     if doubts:
-        yield Advice(f"{'; '.join(doubts)}; {_preview(ended)} shows it")
+        yield Advice(f"{'; '.join(doubts)}; {_preview(run)} shows it")
     elif not narrow and (other := run.recogniser.sizes.other()):
         yield Advice(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
             f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m and the range "
-            f"window: {_preview(ended)}"
+            f"window: {_preview(run)}"
         )
     if run.poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
         yield Advice(
@@ -70,7 +73,7 @@ def of_run(ended: EndedRun) -> Iterator[Advice]:
         yield Advice(f"{saturated:.0%} of the frames {cause}")
     if log.untimed:
         yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
-    if ended.has_sightings or narrow or not run.recogniser.tracking:
+    if has_sightings or narrow or not run.recogniser.tracking:
         return
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
@@ -79,12 +82,12 @@ def of_run(ended: EndedRun) -> Iterator[Advice]:
     scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
     yield Advice(
         f"no landmark declared; check {topic}range order "
-        f"({_again(ended, '--range-order', log.sonar.other_range_order)}) and geometry "
-        f"({_preview(ended)})"
+        f"({_again(run, '--range-order', log.sonar.other_range_order)}) and geometry "
+        f"({_preview(run)})"
     )
     yield Advice(
-        f"then landmark set and size ({_landmarks(ended)}; a landmark of "
-        f"{landmarks.name} is {wide}) and level ({_again(ended, '--pixel-scale', scale)})"
+        f"then landmark set and size ({_landmarks(run)}; a landmark of "
+        f"{landmarks.name} is {wide}) and level ({_again(run, '--pixel-scale', scale)})"
     )
 
 
@@ -160,25 +163,25 @@ def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
     )
 
 
-def _again(ended: EndedRun, *options: str) -> str:
+def _again(run: PreparedRun, *options: str) -> str:
     """The command that repeats a run with other options, and leaves its results as they are."""
-    job = ended.job
+    job = run.job
     if job.urls:  # run.toml is on a server
         return f"`run` with {' '.join(options)}"
-    poses = ended.run.log_options.odometry
+    poses = run.log_options.odometry
     return rerun(Path(job.log), job.folder / "run.toml", *options, poses=poses)
 
 
-def _landmarks(ended: EndedRun) -> str:
+def _landmarks(run: PreparedRun) -> str:
     """The command that shows the landmark set of a run."""
-    job, is_built_in = ended.job, ended.run.landmarks == load_landmarks("basin")
+    job, is_built_in = run.job, run.landmarks == load_landmarks("basin")
     own = [] if job.urls or is_built_in else [job.folder / "run.toml"]
     return command_line("landmarks", *own)
 
 
-def _preview(ended: EndedRun) -> str:
+def _preview(run: PreparedRun) -> str:
     """The command that draws the geometry of a run onto its first frame."""
-    job, run = ended.job, ended.run
+    job = run.job
     if job.urls:
         return "`sonarrec info --preview` of a copy"
     file, topic = job.folder / "run.toml", run.log.reading().get("topic")

@@ -44,12 +44,8 @@ def _check_of(truth: Path, log: LogResults, options: ScoringOptions) -> str:
     if options.sonar not in (None, Sonar()):
         return ""
     with suppress(SonarrecError):
-        words: list[object] = [
-            "truth",
-            "check",
-            truth,
-            recorded_at(run.path.parent, run.input).path,
-        ]
+        recording = recorded_at(run.path.parent, run.input).path
+        words: list[object] = ["truth", "check", truth, recording]
         words += ["--sonar", run.path, "--landmarks", options.landmarks or run.path]
         time = None if run.input.time == "log" else run.input.time
         for name, value in (("--topic", run.input.topic), ("--time", time)):

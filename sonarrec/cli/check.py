@@ -12,13 +12,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, print_notes, say
-from sonarrec.cli.groups import (
-    FOLDER,
-    command,
-    file_names,
-    in_batch,
-    in_output,
-)
+from sonarrec.cli.groups import FOLDER, command, file_names, in_batch, in_output
 from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 
 if TYPE_CHECKING:
@@ -224,14 +218,15 @@ def _judge(spec: Check, compared: Comparison, limits: Limits) -> Judgement:
 
 def _print(judged: Judgement, compared: Comparison, out: Path | None, quiet: bool) -> None:
     """Print the judgement and, if the results are kept, write the comparison's files into `out`."""
-    from sonarrec.evaluation.compare import screen, write_comparison
+    from sonarrec.evaluation.compare import write_comparison
+    from sonarrec.reports.screen import comparison
 
     print_notes(compared.unused)
     files = () if out is None else write_comparison(out, compared)
     if quiet:
         print_notes([judged.sentence] if judged.faults else [], compared.notes)
         return
-    click.echo(screen(compared, judged))
+    click.echo(comparison(compared, judged))
     lines = [f"note: {note}" for note in compared.notes]
     lines += [] if out is None else [f"{out}: {', '.join(files)}"]
     if lines:

@@ -40,9 +40,7 @@ if TYPE_CHECKING:
     help="Print the figures of both protocols, per ID and per log.",
 )
 @in_output(
-    "--json as_json",
-    is_flag=True,
-    help="Print evaluation.json, and nothing else, on stdout.",
+    "--json as_json", is_flag=True, help="Print evaluation.json, and nothing else, on stdout."
 )
 @options.out(
     ANY, "Folder for the files.  [default: evaluation in RESULTS, in NEW or next to PAIRS]"
@@ -89,6 +87,7 @@ def evaluate(
     scoring = replace(scoring, labelled_only=labelled_only)
     from sonarrec.advice.results import of_results
     from sonarrec.evaluation.pairs import read_pairs
+    from sonarrec.reports.screen import comparison, screen
     from sonarrec.tables.outputs import below
 
     folder_of_logs = results or Path("sonarrec_out")
@@ -104,11 +103,10 @@ def evaluate(
         files = comparing.write_comparison(folder, compared)
         judged = comparing.judge(compared, limits)
         worse = judged.faults if limits.are_given else ()
-        shown = f"{new} against {old}: {comparing.screen(compared, judged)}"
+        shown = f"{new} against {old}: {comparison(compared, judged)}"
         document = ""
     else:
         from sonarrec.evaluation.evaluate import evaluate_logs
-        from sonarrec.evaluation.screen import screen
         from sonarrec.evaluation.write import json_text, write_evaluation
 
         scored = evaluate_logs(  # pairs name the results too

@@ -36,11 +36,7 @@ from sonarrec.errors import UsageError, number_of
 )
 @options.quiet
 def landmarks(
-    landmark_set: str,
-    distance_m: float,
-    beam_width_deg: float,
-    out: Path | None,
-    quiet: bool,
+    landmark_set: str, distance_m: float, beam_width_deg: float, out: Path | None, quiet: bool
 ) -> None:
     """Print how much the IDs of a landmark set differ, and what makes them hard to recognise.
 

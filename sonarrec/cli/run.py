@@ -26,22 +26,8 @@ from sonarrec.cli.endings import (
     progress,
     say,
 )
-from sonarrec.cli.groups import (
-    FILE,
-    command,
-    file_names,
-    in_batch,
-    in_input,
-    in_output,
-)
-from sonarrec.errors import (
-    SonarrecError,
-    UsageError,
-    is_url,
-    name_as_text,
-    number_of,
-    printable,
-)
+from sonarrec.cli.groups import FILE, command, file_names, in_batch, in_input, in_output
+from sonarrec.errors import SonarrecError, UsageError, is_url, name_as_text, number_of, printable
 from sonarrec.records import date_text, is_date
 
 if TYPE_CHECKING:
@@ -175,12 +161,7 @@ def run(
     if dry_run:
         leave(_plan(to_run))
     done = run_and_print(
-        to_run,
-        out,
-        quiet=quiet,
-        at_once=jobs,
-        scheduler=scheduler,
-        alone=len(logs) == 1,
+        to_run, out, quiet=quiet, at_once=jobs, scheduler=scheduler, alone=len(logs) == 1
     )
     leave(exit_code(done.outcomes))
 

@@ -32,13 +32,7 @@ from sonarrec.errors import number_of
     required=True,
 )
 @options.quiet
-def simulate(
-    source: str,
-    seed: int | None,
-    frames: int | None,
-    out: Path,
-    quiet: bool,
-) -> None:
+def simulate(source: str, seed: int | None, frames: int | None, out: Path, quiet: bool) -> None:
     """Render a recording with ground truth: frames, sonar.toml, gt.csv and the scene itself.
 
     An MCAP holds images (sensor_msgs/msg/Image) or, of a polar scene, pings

@@ -20,7 +20,7 @@ from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.evaluate import Advise, LogToScore, lacks, score_logs
 from sonarrec.evaluation.figures import MAIN, METRICS, differences, few_units, rates, units_text
 from sonarrec.evaluation.pairs import Pair, find_truths, pair_up
-from sonarrec.evaluation.rows import ScoringOptions, labelled_frames
+from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
 from sonarrec.records import follows
@@ -41,10 +41,6 @@ EACH = ""
 """Stands for every method that is judged, in the limits."""
 MOST_NAMED = 3
 """Logs that a sentence names."""
-MOST_ROWS = 24
-"""Of the table; if there are more, those of logs that are not worse are left out."""
-MOST_PASSES = 6
-"""Changed passes that are listed."""
 COMPARE = [
     *("protocol", "method", "landmark", "rate", "old", "new", "worse_by", "of"),
     *("log", "low", "high", "p", "units", "note"),
@@ -237,12 +233,9 @@ def _logs(
     diagnostics: Diagnostics,
 ) -> list[LogToScore]:
     """The logs of these old and new folders that have a truth, by name; others are problems."""
-    if ground_truth is None:
-        pairs: Sequence[Pair] = find_truths([now for _, now in folders], diagnostics)
-    elif isinstance(ground_truth, Path) and ground_truth.is_dir():
+    pairs: Sequence[Pair]
+    if ground_truth is None or isinstance(ground_truth, Path):
         pairs = find_truths([now for _, now in folders], diagnostics, ground_truth)
-    elif isinstance(ground_truth, Path):
-        pairs = [Pair(now, ground_truth) for _, now in folders]
     else:
         pairs = ground_truth
     of_name: dict[str | None, Pair] = {}
@@ -415,50 +408,6 @@ def _sentence(
         tested = f"p = {test.p:.2g} over {units_text(compared.after.units)}{chance}"
         parts.append(test.note if math.isnan(test.p) else tested)
     return "; ".join([*parts, *broken])
-
-
-HEADING = ("log", "method", "protocol", "TPR before", "now", "FPR before", "now", "")
-
-
-def screen(compared: Comparison, judged: Judgement) -> str:
-    """The sentence, the table, then the passes that changed most."""
-    rows = judged.rows
-    if len(rows) > MOST_ROWS:
-        worse = [row for row in rows if row.log != TOTAL and row.mark == "worse"]
-        rows = (*worse[:MOST_ROWS], *(row for row in rows if row.log == TOTAL))
-    cells: list[tuple[str, ...]] = [HEADING]
-    for row in rows:
-        texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
-        cells.append((row.log, row.method, row.protocol, *texts, row.mark))
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [judged.sentence, *labelled_frames(compared.after.frames, compared.left_out)]
-    for cell in cells if rows else ():
-        texts = (f"{c:{'<<<>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
-        lines.append("  ".join(texts).rstrip())
-    if more := len(judged.rows) - len(rows):
-        lines.append(number_of(more, "more row"))
-    return "\n".join(map(printable, [*lines, *_changed_passes(compared)]))
-
-
-def _changed_passes(compared: Comparison) -> list[str]:
-    """The passes in which the leading method, under the stricter protocol, changed most."""
-    method = compared.methods[0][1]
-    protocol = max(protocol for protocol, other in compared.methods if other == method)
-    old, new = (
-        passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
-        for passes in (compared.before.passes, compared.after.passes)
-    )
-    change = np.abs(new["right"] - old["right"])
-    order = np.argsort(-change, kind="stable")[:MOST_PASSES]
-    most = new.with_columns(old=old["right"])[order[change[order] > 0]]
-    names = ("log", "first_frame", "last_frame", "landmark", "old", "right", "frames")
-    return [
-        f"{log} frames {first}-{last}, ID.{landmark}: "
-        f"right in {was} -> {now} of {frames} ({method}, {protocol})"
-        for log, first, last, landmark, was, now, frames in zip(
-            *(most[name] for name in names), strict=True
-        )
-    ]
 
 
 def write_comparison(folder: Path, compared: Comparison) -> tuple[str, ...]:

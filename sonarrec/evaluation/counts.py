@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 
 from sonarrec.arrays import IntArray, Table, stacked
 from sonarrec.errors import SonarrecError
-from sonarrec.evaluation.mistakes import KINDS, MISSED, Mistake, find_wrong, over_frames
+from sonarrec.evaluation.mistakes import KINDS, Mistake, find_wrong, over_frames
 from sonarrec.evaluation.rows import (
     COUNTS,
     DIGITS,
@@ -43,13 +43,32 @@ TOTAL = "total"
 """Stands for all IDs: the micro average."""
 MILLION = 10**DIGITS
 """Scores are counted in millionths: whole numbers are sorted faster."""
-LONG = ("claims", "position", "orientation")
+LONG = {"claims", "position", "orientation"}
 """Tables with a row per claim: their integers have 32 bits."""
 _UNIT = ["method", "landmark", "unit"]
 
 
-def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
-    """What one log adds to these tables, by unit.
+class CountedLog(NamedTuple):
+    """What one log adds to the counts."""
+
+    name: str
+    methods: tuple[str, ...]
+    ids: tuple[int, ...]
+    placed: bool
+    """Whether protocol strict can be scored."""
+    units: int
+    passes: int
+    frames: int
+    positives: int
+    """Truths that count under protocol strict."""
+    truths: int
+    gate_m: float
+    tables: dict[str, Table]
+    """Those of `count_log`; none any more once they were added up."""
+
+
+def count_log(log: Matched, *, rates_only: bool = False) -> CountedLog:
+    """One log with its rows of these tables, by unit.
 
     base: TP, TN, FP, FN without any claim, by protocol and landmark.
     declared: what the declared claims add, also by method.
@@ -88,9 +107,24 @@ def count_log(log: Matched, *, rates_only: bool = False) -> dict[str, Table]:
                 parts[kind].append(errors.added_up([*_UNIT, "value"]))
             parts["calibration"].append(_calibration(log, beneath))
     tables = {name: stacked(pieces) for name, pieces in parts.items()}
-    if "wrong" in tables:  # frame by frame; only the mistakes over neighbouring frames are returned
+    if "wrong" in tables:  # frame by frame; only the mistakes over neighbouring frames are kept
         tables["mistakes"] = over_frames(log, tables.pop("wrong"))
-    return tables
+    for name in LONG & tables.keys():
+        small = {c: v.astype(np.int32) for c, v in tables[name].columns.items() if v.dtype == int}
+        tables[name] = tables[name].with_columns(**small)
+    return CountedLog(
+        name=log.name,
+        methods=log.methods,
+        ids=log.ids,
+        placed=log.placed,
+        units=log.units,
+        passes=len(log.passes),
+        frames=len(log.frame),
+        positives=int(log.truths["strict"].sum()),
+        truths=len(log.truths),
+        gate_m=float(log.gate_m),
+        tables=tables,
+    )
 
 
 def _all_claims(judged: Table) -> Table:
@@ -174,24 +208,6 @@ class Units(NamedTuple):
     number: int
 
 
-class CountedLog(NamedTuple):
-    """A log whose rows are in the tables."""
-
-    name: str
-    methods: tuple[str, ...]
-    ids: tuple[int, ...]
-    placed: bool
-    """Whether protocol strict can be scored."""
-    units: int
-    passes: int
-    frames: int
-    first_frame: int
-    positives: int
-    """Truths that count under protocol strict."""
-    truths: int
-    gate_m: float
-
-
 class Count(NamedTuple):
     """Counts and rates of one method under one protocol, for an ID or in total."""
 
@@ -201,6 +217,8 @@ class Count(NamedTuple):
     fn: int
     positives: int
     """Truths that count, which are the FN without any claim."""
+    frames: int
+    """All that are scored, whatever is in view."""
 
     @property
     def total(self) -> int:
@@ -218,76 +236,49 @@ class Count(NamedTuple):
         return float(ratio(self.fp, self.fp + self.tn))
 
     @property
+    def false_per_100(self) -> float:
+        """False claims, which are the FP, in 100 frames; NaN without frames."""
+        return float(ratio(100 * self.fp, self.frames))
+
+    @property
     def tpr_once(self) -> float:
         """The TPR without further claims of an ID in a frame, which only protocol paper counts."""
         return float(ratio(self.positives - self.fn, self.positives))
 
 
-class Tally:
-    """Adds up what logs of the same IDs add to the counts.
+def add_up(
+    logs: Sequence[CountedLog], folders: Sequence[Path], methods: Sequence[str] = ()
+) -> Counts:
+    """The counts of logs of the same IDs; their tables go as they are joined.
 
-    rates_only: leave out errors, calibration and mistakes.
+    folders: one per log. Logs of one name are named by their folders. methods: those wanted; all if
+    none is named. Raises SonarrecError if no log has a method to score, or if no log has a wanted
+    one.
     """
-
-    def __init__(self, *, rates_only: bool = False) -> None:
-        self._rates_only = rates_only
-        self._logs: list[CountedLog] = []
-        self._methods: list[str] = []  # which tables have by their index
-        self._tables: dict[str, list[Table]] = defaultdict(list)
-        self._first = {"unit": 0, "passage": 0}  # of the next log
-
-    def add(self, log: Matched) -> None:
-        """Add the counts of a log."""
-        self._methods += [name for name in log.methods if name not in self._methods]
-        index = np.array([*map(self._methods.index, log.methods), -1], dtype=np.int16)
-        for name, table in count_log(log, rates_only=self._rates_only).items():
-            columns = table.columns | {"log": np.full(len(table), len(self._logs), dtype=np.int32)}
-            if "method" in columns:
-                columns["method"] = index[table["method"]]
-            for column in self._first.keys() & columns.keys():
-                columns[column] = table[column] + self._first[column]
-            if name in LONG:
-                del columns["log"]
-                small = [c for c, values in columns.items() if values.dtype == np.int64]
-                columns |= {c: columns[c].astype(np.int32) for c in small}
-            self._tables[name].append(Table(**columns))
-        self._first["unit"] += log.units
-        self._first["passage"] += len(log.passes)
-        self._logs.append(
-            CountedLog(
-                name=log.name,
-                methods=log.methods,
-                ids=log.ids,
-                placed=log.placed,
-                units=log.units,
-                passes=len(log.passes),
-                frames=len(log.frame),
-                first_frame=int(log.frame[0]) if len(log.frame) else 0,
-                positives=int(log.truths["strict"].sum()),
-                truths=len(log.truths),
-                gate_m=float(log.gate_m),
-            )
-        )
-
-    def counts(self, folders: Sequence[Path], methods: Sequence[str] = ()) -> Counts:
-        """The counts of all logs, after the last one.
-
-        folders: one per log. Logs of one name are named by their folders. methods: those wanted;
-        all if none is named. Raises SonarrecError if no log has a method to score, or
-        if no log has a wanted one.
-        """
-        many = Counter(log.name for log in self._logs)
-        names = [
-            log.name if many[log.name] == 1 else str(folder)
-            for log, folder in zip(self._logs, folders, strict=True)
-        ]
-        known = {method for log in self._logs for method in log.methods}
-        scored = chosen(known, methods, ", ".join(names))
-        if not scored:
-            raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
-        # The parts go as they are joined: there are millions of rows in many logs.
-        tables = {name: stacked(self._tables.pop(name)) for name in [*self._tables]}
-        return Counts(tuple(names), tuple(self._logs), scored, tuple(self._methods), tables)
+    many = Counter(log.name for log in logs)
+    names = tuple(
+        log.name if many[log.name] == 1 else str(folder)
+        for log, folder in zip(logs, folders, strict=True)
+    )
+    indexed = tuple(dict.fromkeys(method for log in logs for method in log.methods))
+    scored = chosen(indexed, methods, ", ".join(names))
+    if not scored:
+        raise SonarrecError(f"{', '.join(names)}: estimates.csv names no method to score")
+    parts: dict[str, list[Table]] = defaultdict(list)
+    first = {"unit": 0, "passage": 0}  # of the next log
+    for n, log in enumerate(logs):
+        index = np.array([*map(indexed.index, log.methods), -1], dtype=np.int16)
+        while log.tables:
+            name, table = log.tables.popitem()
+            of_all = {c: table[c] + first[c] for c in first.keys() & table.columns.keys()}
+            if "method" in table.columns:
+                of_all["method"] = index[table["method"]]
+            if name not in LONG:
+                of_all["log"] = np.full(len(table), n, dtype=np.int32)
+            parts[name].append(table.with_columns(**of_all))
+        first = {"unit": first["unit"] + log.units, "passage": first["passage"] + log.passes}
+    tables = {name: stacked(parts.pop(name)) for name in [*parts]}
+    return Counts(names, tuple(logs), scored, indexed, tables)
 
 
 @dataclass(eq=False)
@@ -305,8 +296,6 @@ class Counts:
     """Those of `count_log`, with units and passes numbered over all logs; the short ones also with
     `log`, the log's index."""
     _corners: dict[tuple[str, str, str], Table] = field(default_factory=dict, init=False)
-    _last: tuple[tuple[str, str], Table] | None = field(default=None, init=False)
-    """Method and protocol, and what `_steps` returned for them."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -381,6 +370,7 @@ class Counts:
     def confusion(self) -> dict[tuple[str, str, str, str], Count]:
         """Counts and rates by method, protocol, log ("": all) and landmark, with the total."""
         counted, names = {}, [*COUNTS, "positives"]
+        frames = [self.frames, *(log.frames for log in self.counted)]
         shape = (1 + len(self.logs), len(self.landmarks), len(names))
         for method in self.methods:
             for protocol in self.protocols:
@@ -394,47 +384,46 @@ class Counts:
                             np.add.at(sums[:, :, n], (1 + rows["log"], k), rows[name])
                 sums[0] = sums.sum(axis=0)
                 sums[:, -1] = sums.sum(axis=1)
-                for log, of_log in zip(("", *self.logs), sums.tolist(), strict=True):
-                    for landmark, counts in zip(self.landmarks, of_log, strict=True):
-                        counted[method, protocol, log, landmark] = Count(*counts)
+                for n, log in enumerate(("", *self.logs)):
+                    for landmark, counts in zip(self.landmarks, sums[n].tolist(), strict=True):
+                        counted[method, protocol, log, landmark] = Count._make([*counts, frames[n]])
         return counted
 
     def count(self, method: str, protocol: str, landmark: str = TOTAL, log: str = "") -> Count:
         """One of `confusion`."""
         return self.confusion[method, protocol, log, landmark]
 
-    def _steps(self, method: str, protocol: str) -> Table:
-        """The sums of all claims by ID and score. Only the last result is kept."""
-        if self._last is None or self._last[0] != (method, protocol):
-            every = self.rows("claims", method, protocol)
-            steps = every.select(["landmark", "score", *COUNTS]).added_up(["landmark", "score"])
-            self._last = (method, protocol), steps
-        return self._last[1]
+    def curves(self, method: str, protocol: str) -> Iterator[tuple[str, Table]]:
+        """The ROC of each landmark: threshold, counts and rates, from infinity down.
+
+        Equal scores are one point. At the last point every estimate is a claim; this need not be
+        (1, 1), since a landmark without an estimate cannot be claimed.
+        """
+        every = self.rows("claims", method, protocol)
+        of_ids = every.select(["landmark", "score", *COUNTS]).added_up(["landmark", "score"])
+        for landmark in self.landmarks:
+            steps = of_landmark(of_ids, landmark)
+            if landmark == TOTAL:
+                steps = steps.select(["score", *COUNTS]).added_up(["score"])
+            base = of_landmark(self.rows("base", protocol=protocol), landmark)
+            totals = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
+            points = Table(
+                **totals,
+                threshold=np.append(steps["score"] / MILLION, np.inf)[::-1],
+                tpr=ratio(totals["tp"], totals["tp"] + totals["fn"]),
+                fpr=ratio(totals["fp"], totals["fp"] + totals["tn"]),
+            )
+            self._corners[method, protocol, landmark] = corners(points)
+            yield landmark, points
 
     def curve(self, method: str, protocol: str, landmark: str = TOTAL) -> Table:
-        """The ROC: threshold, counts and rates, from infinity down. Equal scores are one point.
-
-        At the last point every estimate is a claim; this need not be (1, 1), since a landmark
-        without an estimate cannot be claimed.
-        """
-        steps = of_landmark(self._steps(method, protocol), landmark)
-        if landmark == TOTAL:
-            steps = steps.select(["score", *COUNTS]).added_up(["score"])
-        base = of_landmark(self.rows("base", protocol=protocol), landmark)
-        totals = {n: np.cumsum(np.append(steps[n], base[n].sum())[::-1]) for n in COUNTS}
-        points = Table(
-            **totals,
-            threshold=np.append(steps["score"] / MILLION, np.inf)[::-1],
-            tpr=ratio(totals["tp"], totals["tp"] + totals["fn"]),
-            fpr=ratio(totals["fp"], totals["fp"] + totals["tn"]),
-        )
-        self._corners[method, protocol, landmark] = corners(points)
-        return points
+        """One of `curves`."""
+        return dict(self.curves(method, protocol))[landmark]
 
     def corners(self, method: str, protocol: str, landmark: str = TOTAL) -> Table:
         """The corners of the ROC, see `corners`; kept, since they are few and often drawn."""
         if (method, protocol, landmark) not in self._corners:
-            self.curve(method, protocol, landmark)
+            self.curve(method, protocol)
         return self._corners[method, protocol, landmark]
 
     @cached_property
@@ -451,17 +440,16 @@ class Counts:
             table = of_all[nobodys | (of_all["method"] == self.indexed.index(method))]
             for row in zip(*(column.tolist() for column in table.columns.values()), strict=True):
                 m = dict(zip(table.columns, row, strict=True))
-                first, kind = self.counted[m["log"]].first_frame, KINDS[m["kind"]]
-                at_start = m["first_frame"] == m["last_frame"] == first and kind == MISSED
                 named = {
                     "log": self.logs[m["log"]],
                     "method": method,
-                    "kind": kind,
+                    "kind": KINDS[m["kind"]],
                     "landmark": self.ids[m["landmark"]],
                     "other": None if m["other"] < 0 else self.ids[m["other"]],
                     "protocol": protocol,
+                    "at_start": m["at_start"] * follows(method),
                 }
-                mistakes.append(Mistake(**m | named, at_start=int(at_start and follows(method))))
+                mistakes.append(Mistake(**m | named))
         return sorted(mistakes, key=lambda m: (-m.frames, math.isnan(m.score), -m.score))
 
     @cached_property

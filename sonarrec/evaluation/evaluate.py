@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.errors import Advice, Diagnostics, SonarrecError, listed, number_of, printable
-from sonarrec.evaluation.counts import Counts, Tally
+from sonarrec.evaluation.counts import CountedLog, Counts, add_up, count_log
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.pairs import Pair, find_truths, usable_pairs
 from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match
@@ -216,9 +216,7 @@ def score_logs(
     copies = Diagnostics()
     once = CountedOnce(action, copies)
     orders: Orders = {}
-    tallies = defaultdict[tuple[int, ...], list[Tally]](
-        lambda: [Tally(rates_only=len(logs[0].results) > 1) for _ in logs[0].results]
-    )
+    counted = defaultdict[tuple[int, ...], list[list[CountedLog]]](list)  # by the IDs
     _truth_table.cache_clear()  # the files may have changed since the last call
     for log in logs:
         try:
@@ -234,8 +232,10 @@ def score_logs(
                 lines.advise(advise(log, tables, options))
                 score.unused[:0] = lines.problems
                 score.notes += lines.notes
-            for tally, matched in zip(tallies[score.ids], tables.matched, strict=False):
-                tally.add(matched)
+            if score.fault is None:
+                rates_only = len(log.results) > 1
+                both = [count_log(side, rates_only=rates_only) for side in tables.matched]
+                counted[score.ids].append(both)
         del tables  # before the next log is read
     if not read:
         raise unread[0][1]
@@ -267,8 +267,8 @@ def score_logs(
     diagnostics.note(*copies.notes)
     diagnostics.note(*(note for score in scored for note in score.notes))
     folders = [score.log.results[-1] for score in scored]
-    methods = options.methods if len(tallies[ids]) == 1 else ()
-    sides = [tally.counts(folders, methods) for tally in tallies[ids]]
+    methods = options.methods if len(logs[0].results) == 1 else ()
+    sides = [add_up(side, folders, methods) for side in zip(*counted[ids], strict=True)]
     for score, name in zip(scored, sides[0].logs, strict=True):
         report_rows(diagnostics, name, score.rows[1], score.rows[3])
     return scored, sides, names
@@ -301,15 +301,13 @@ def evaluate_logs(
     """
     options.check()
     diagnostics, table = Diagnostics(), None  # the table of all logs; None if each has its own
-    if not isinstance(results, str | Path):
-        pairs = usable_pairs(results, diagnostics)
-    elif ground_truth is None:
-        pairs = find_truths(find_logs(Path(results)), diagnostics)
-    elif Path(ground_truth).is_dir():
-        pairs = find_truths(find_logs(Path(results)), diagnostics, Path(ground_truth))
+    if isinstance(results, str | Path):
+        results, truths = Path(results), None if ground_truth is None else Path(ground_truth)
+        if truths is not None and not truths.is_dir():
+            table = read_truth(truths)
+        pairs = find_truths(find_logs(results), diagnostics, truths)
     else:
-        results, table = Path(results), read_truth(Path(ground_truth))
-        pairs = [Pair(folder, table.path) for folder in find_logs(results)]
+        pairs = usable_pairs(results, diagnostics)
     logs = [LogToScore((p.results,), p.ground_truth, p.log or log_of(p.results)) for p in pairs]
     one_truth_of = table and results
     scored, [counts], names = score_logs(logs, options, "scored", diagnostics, one_truth_of, advise)
@@ -324,8 +322,8 @@ def evaluate_logs(
             else diagnostics.problem
         )
         add(*others.problems)
-    if isinstance(results, str | Path):
-        diagnostics.note(*_failed(Path(results)))
+    if isinstance(results, Path):
+        diagnostics.note(*_failed(results))
     diagnostics.note(*_notes(counts))
     summary = summarise(counts)
     return Evaluation(

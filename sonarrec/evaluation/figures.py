@@ -20,7 +20,6 @@ from sonarrec.errors import number_of, printable
 from sonarrec.evaluation.counts import BINS, MILLION, TOTAL, Counts, Units, of_landmark, ratio
 from sonarrec.evaluation.rows import COUNTS
 from sonarrec.evaluation.uncertainty import (
-    LEVEL,
     MIN_UNITS,
     all_equal,
     draws,
@@ -225,8 +224,7 @@ def rates(counts: Counts, method: str, protocol: str) -> Iterator[Sample]:
         counts.rows(name, source, protocol)
         for name, source in (("base", ""), ("declared", method), ("claims", method))
     )
-    for landmark in counts.landmarks:
-        roc = counts.curve(method, protocol, landmark)
+    for landmark, roc in counts.curves(method, protocol):
         exact = np.stack([roc[name] for name in COUNTS])
         # Bins of FPR, not of score, so that methods with different scores can be swapped bin by
         # bin. The curve of a sum is the sum of curves, so it is made once and not in each draw.
@@ -371,7 +369,6 @@ def differences(
 class Summary(NamedTuple):
     """Figures with intervals, and differences between each two methods, in total."""
 
-    units: Units
     figures: tuple[Figure, ...]
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]
@@ -384,8 +381,7 @@ class Summary(NamedTuple):
 
 def summarise(counts: Counts) -> Summary:
     """Figures, intervals and tests of an evaluation."""
-    units = counts.units
-    weights, tosses = draws(units.number)
+    weights, tosses = draws(counts.units.number)
     figures: list[Figure] = []
     totals: dict[str, list[Sample]] = {}  # by kind and protocol
     for sample in samples(counts):
@@ -399,7 +395,7 @@ def summarise(counts: Counts) -> Summary:
             a, b = sorted(pair, key=lambda sample: follows(sample.method))
             tests += differences(a, b, weights, tosses)
     notes = tuple(map(printable, few_units(counts, figures)))
-    return Summary(units, tuple(figures), tuple(tests), notes)
+    return Summary(tuple(figures), tuple(tests), notes)
 
 
 def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
@@ -407,11 +403,8 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
 
     figures: so that one on those with cases in too few of the units can be given.
     """
-    units, logs, passes = (
-        counts.units,
-        len(counts.logs),
-        len(counts.rows("passes", protocol="paper")),
-    )
+    units, logs = counts.units, len(counts.logs)
+    passes = len(counts.rows("passes", protocol="paper"))
     few = [f.units for f in figures if f.landmark == TOTAL and 0 < f.units < MIN_UNITS]
     least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
@@ -430,8 +423,3 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
 def units_text(units: Units) -> str:
     """The number of units with their kind, such as "12 passes"."""
     return number_of(units.number, units.kind, {"pass": "es", "log": "s"}[units.kind])
-
-
-def over_units(units: Units) -> str:
-    """The part of a table's caption about its intervals; empty if there are none."""
-    return f"; {LEVEL:.0%} intervals over {units_text(units)}" if units.number >= MIN_UNITS else ""

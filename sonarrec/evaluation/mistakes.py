@@ -121,7 +121,7 @@ def _surest(log: Matched, judged: Table, missed: IntArray, beneath: IntArray | N
 
 
 def over_frames(log: Matched, wrong: Table) -> Table:
-    """What is wrong over neighbouring frames, with the columns of Mistake but log and at_start.
+    """What is wrong over neighbouring frames, with the columns of Mistake but log.
 
     wrong: as of `find_wrong`, with the index of the protocol.
     """
@@ -141,8 +141,10 @@ def over_frames(log: Matched, wrong: Table) -> Table:
     off_middle = np.abs(2 * frame - (frame[start] + frame[end])[episode])
     rank = -score + 2 * (other != usual[episode])
     worst = np.lexsort((off_middle, rank, episode))[start]
+    kind = wrong["kind"][start]
     return Table(
-        **{name: wrong[name][start] for name in ("protocol", "method", "kind", "landmark")},
+        **{name: wrong[name][start] for name in ("protocol", "method", "landmark")},
+        kind=kind,
         other=usual,
         first_frame=log.frame[frame[start]],
         last_frame=log.frame[frame[end]],
@@ -150,6 +152,7 @@ def over_frames(log: Matched, wrong: Table) -> Table:
         score=np.where(score[worst] < 0, np.nan, score[worst]),
         times=end + 1 - start,
         worst_frame=log.frame[frame[worst]],
+        at_start=kind * (frame[end] == 0),
     )
 
 

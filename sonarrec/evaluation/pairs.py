@@ -74,12 +74,15 @@ def usable_pairs(pairs: Iterable[Pair], diagnostics: Diagnostics) -> list[Pair]:
 def find_truths(
     folders: Iterable[Path], diagnostics: Diagnostics, truths: Path | None = None
 ) -> list[Pair]:
-    """Each results folder with the truth found by its log; one without truth is a problem.
+    """Each results folder with its truth; one without truth is a problem.
 
-    run.toml says where the log is. truths: a folder that holds NAME.gt.csv of each.
+    truths: one truth of all, or a folder that holds NAME.gt.csv of each; None: the truth beside
+    each log, of which run.toml says where it is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
     several logs share a truth without a log column.
     """
+    if truths is not None and not truths.is_dir():
+        return [Pair(folder, truths) for folder in folders]
     pairs, without, unread = [], [], []
     sharing: dict[Path, dict[Hashable, Path]] = defaultdict(dict)
     for folder in folders:

@@ -84,13 +84,6 @@ def scoring_options(
     )
 
 
-def labelled_frames(scored: int, left_out: int | None) -> list[str]:
-    """A line on how many frames count if these are the labelled ones; left_out: None if all are."""
-    if left_out is None:
-        return []
-    return [f"labelled frames only: {scored} of {scored + left_out}; the others are not scored"]
-
-
 @dataclass(frozen=True, slots=True)
 class Matched:
     """The claims and the truth of one log as tables: F frames, K IDs.

@@ -27,7 +27,7 @@ from sonarrec.tables.outputs import (
     writing,
 )
 
-COUNTED = ["tpr", "fpr", "tp", "tn", "fp", "fn", "total", "tpr_once"]
+COUNTED = ["tpr", "fpr", "tp", "tn", "fp", "fn", "total", "tpr_once", "false_per_100"]
 LABELS = ["protocol", "method", "landmark"]
 HEADERS = {
     "confusion": [*LABELS, *COUNTED],
@@ -117,14 +117,15 @@ class Evaluation:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row per method: TPR and FPR under each protocol over all IDs."""
+        """A row per method: TPR, FPR and false claims in 100 frames under each protocol over all
+        IDs."""
         methods = pd.Index(self.counts.methods, name="method")
         columns = {
-            f"{protocol} {rate.upper()}": [
+            f"{protocol} {label}": [
                 getattr(self.counts.count(method, protocol), rate) for method in methods
             ]
             for protocol in self.counts.protocols
-            for rate in ("tpr", "fpr")
+            for rate, label in (("tpr", "TPR"), ("fpr", "FPR"), ("false_per_100", "false per 100"))
         }
         return pd.DataFrame(columns, index=methods)
 
@@ -134,7 +135,8 @@ class Evaluation:
         count = self.counts.count(method, protocol)
         return (
             f"<Evaluation of {number_of(logs, 'log')}, {number_of(frames, 'frame')}: {method}, "
-            f"{protocol}: TPR {count.tpr:.4f}, FPR {count.fpr:.4f}>"
+            f"{protocol}: TPR {count.tpr:.4f}, FPR {count.fpr:.4f}, "
+            f"{count.false_per_100:.2f} false claims per 100 frames>"
         )
 
 
@@ -196,8 +198,8 @@ def json_text(evaluation: Evaluation) -> str:
         "min_visible": evaluation.min_visible,
         "paper_min_visible": PAPER_MIN_VISIBLE,
         "gate_m": list(counts.gates),
-        "unit": summary.units.kind,
-        "units": summary.units.number,
+        "unit": counts.units.kind,
+        "units": counts.units.number,
         "methods": methods,
         "per_log": per_log,
         "figures": [_named(figure) for figure in summary.figures],

@@ -13,8 +13,8 @@ import numpy as np
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.mistakes import Mistake
-from sonarrec.evaluation.screen import OperatingPoint, protocols, rates_per_log
 from sonarrec.evaluation.write import Evaluation
+from sonarrec.reports.screen import OperatingPoint, protocols, rates_per_log
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import csv_rows, read_run
 from sonarrec.runs.logs_table import NAME, Row, read_logs

@@ -14,15 +14,14 @@ import numpy as np
 
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of, printable
-from sonarrec.evaluation import screen
 from sonarrec.evaluation.counts import Counts
-from sonarrec.evaluation.figures import METRICS, over_units, units_text
+from sonarrec.evaluation.figures import METRICS, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.geometry import floor_depth
 from sonarrec.passes import PASS_GAP
 from sonarrec.records import VERSION, date_text, is_date, time_text
-from sonarrec.reports import charts
+from sonarrec.reports import charts, screen
 from sonarrec.reports.frames import Picture, Shown
 from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.logs import (
@@ -171,8 +170,8 @@ def _scores(
     return {
         "protocols": protocols,
         "rates": screen.rates(counts, summary),
-        "units": units_text(summary.units),
-        "over": over_units(summary.units),
+        "units": units_text(counts.units),
+        "over": screen.over_units(counts.units),
         "others": screen.figures(summary, protocols[0], methods, others),
         "tested": [METRICS[name].label for name in screen.TESTED],
         "differences": screen.differences(summary, protocols[0]),

@@ -124,11 +124,7 @@ def frame_line(result: FrameResult, stamps: Stamps) -> str:
         "header_stamp_ns": stamps.header,
     }
     if (motion := result.motion) is not None:
-        values |= {
-            "dx_m": motion.right_m,
-            "dy_m": motion.ahead_m,
-            "dyaw_deg": motion.pan_deg,
-        }
+        values |= {"dx_m": motion.right_m, "dy_m": motion.ahead_m, "dyaw_deg": motion.pan_deg}
         if motion.pan_sigma_deg:
             values |= {
                 "dx_sigma_m": motion.right_sigma_m,

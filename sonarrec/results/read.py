@@ -108,8 +108,6 @@ class LogResults:
     missing."""
     strays: int
     """Estimates left out because they lie on frames that frames.csv does not list."""
-    finished: bool
-    """False if run.toml says that the run was cut short."""
     run: RunFile
     """run.toml."""
 
@@ -163,9 +161,11 @@ def why_incomplete(log: LogResults, action: str) -> list[str]:
 
     action: what a command does with the rest, such as "scored".
     """
-    lines = [] if log.finished else [cut_short(log.name, len(log.frame), action)]
-    changed = tables_changed(log.run.path.parent, log.run.input) if log.finished else []
-    lines += [f"{log.name}: {line}; only what it holds now is {action}" for line in changed]
+    if log.run.finished:
+        changed = tables_changed(log.run.path.parent, log.run.input)
+        lines = [f"{log.name}: {line}; only what it holds now is {action}" for line in changed]
+    else:
+        lines = [cut_short(log.name, len(log.frame), action)]
     if log.strays:
         lines.append(
             f"{log.name}: {log.strays} estimates lie on frames that frames.csv does not list; "
@@ -224,7 +224,6 @@ def read_log(folder: Path, landmarks: str | None = None, sonar: Sonar | None = N
         object=table["object"][listed] if "object" in table else np.full(listed.sum(), -1),
         probability=probability,
         strays=int(np.count_nonzero(~listed)),
-        finished=run.finished,
         run=run,
     )
 

@@ -76,21 +76,6 @@ def run_table(
     return table
 
 
-@dataclass(frozen=True, slots=True)
-class ExistingResults:
-    """The finished results in a folder, compared with a run to come."""
-
-    up_to_date: bool = False
-    """The run would give the same."""
-    frames: int = 0
-    unusable: int = 0
-    """Frames that could not be used."""
-    candidates: int = 0
-    problems: list[str] = field(default_factory=list)
-    reason: str = ""
-    """To run again: how the run differs from them; empty if there are none."""
-
-
 _ROWS = {
     "frames.csv": "frames_processed",
     "estimates.csv": "estimates",
@@ -138,11 +123,12 @@ def tables_changed(folder: Path, stated: Input) -> list[str]:
     return lines
 
 
-def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
+def existing_results(folder: Path, table: dict[str, Any]) -> tuple[Input | None, str]:
     """Compare the finished results in a folder with the run.toml of a run to come.
 
-    Raises SonarrecError if they belong to another log (by path and SHA-256), another topic or
-    another program, or if their run.toml is invalid.
+    Returns their [input] if the run would give the same, else None; and why it would not, empty if
+    there are none. Raises SonarrecError if they belong to another log (by path and SHA-256),
+    another topic or another program, or if their run.toml is invalid.
     """
     path = folder / "run.toml"
     present = [name for name in ("run.toml", *TABLES) if (folder / name).is_file()]
@@ -153,7 +139,7 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
         )
     run = read_run(path) if len(present) > len(TABLES) else None
     if run is None or not run.table.get("finished") or "input" not in run.table:
-        return ExistingResults()
+        return None, ""
     coming = json.loads(json.dumps(table))  # tuples become lists, as in a file that is read
     old, new = run.table["input"], coming["input"]
     other, is_changed = "", not run.input.is_of(new["bytes"], new["sha256"])
@@ -166,24 +152,22 @@ def existing_results(folder: Path, table: dict[str, Any]) -> ExistingResults:
             f"{folder}: holds the results of {other}; choose another --out, or give --overwrite"
         )
     if why := why_outdated(run.table):
-        return ExistingResults(reason=why)
+        return None, why
     if is_changed:
-        return ExistingResults(reason="the log has changed")
+        return None, "the log has changed"
     # Not compared: what only a finished run states, where it ran and what its log was called.
     before = {k: v for k, v in run.table.items() if k != "finished"}
     before["input"] = {k: v for k, v in old.items() if k not in _OF_THE_END}
     before["input"] |= {key: new[key] for key in ("path", "place") if key in new}
     before["ran_on"] = coming["ran_on"]
     if before == coming:
-        if changed := tables_changed(folder, run.input):
-            return ExistingResults(reason=changed[0])
-        counts = run.input.frames_processed, run.input.frames_unusable, run.input.candidates
-        return ExistingResults(True, *counts, list(run.input.problems))
+        changed = tables_changed(folder, run.input)
+        return (None, changed[0]) if changed else (run.input, "")
     flat_old, flat_new = dict(flat(before)), dict(flat(coming))
     keys = [k for k in {**flat_new, **flat_old} if flat_old.get(k) != flat_new.get(k)]
     keys = [k for k in keys if k != "program.settings_sha256"]  # which sums up others
     more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-    return ExistingResults(reason=f"other settings: {', '.join(keys[:3])}{more}")
+    return None, f"other settings: {', '.join(keys[:3])}{more}"
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

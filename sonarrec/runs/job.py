@@ -61,7 +61,7 @@ class Job:
     urls: Mapping[str, str] = field(default_factory=dict)
     """Of temporary folders, see `local_copy`."""
     advise: Callable[..., Iterable[Advice]] | None = None
-    """Of an EndedRun, for its notes."""
+    """For its notes: called with the PreparedRun at its end, and whether it has_sightings."""
 
     @property
     def path(self) -> str:

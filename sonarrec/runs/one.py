@@ -9,7 +9,7 @@ from dataclasses import replace
 from heapq import nlargest
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
+from typing import Any
 
 from sonarrec.errors import SonarrecError, is_url
 from sonarrec.readers.log import FIRST_FRAMES
@@ -24,17 +24,6 @@ from sonarrec.runs.prepare import PreparedRun, prepare
 
 MOST_SIGHTINGS = 20
 """Kept of each method in an Outcome; sightings.csv has all."""
-
-
-class EndedRun(NamedTuple):
-    """A run at its end, for those that advise on it."""
-
-    job: Job
-    run: PreparedRun
-    first: Sequence[Frame]
-    """Its first FIRST_FRAMES."""
-    has_sightings: bool
-    """Whether any landmark was declared."""
 
 
 def result_names(logs: Sequence[str | Path]) -> list[str]:
@@ -75,11 +64,11 @@ def plan_job(job: Job) -> str:
     with at_hand(job) as local, prepare(local) as run:
         if local.overwrite:
             return "done again (asked for)"
-        existing = existing_results(local.folder, run.table)
-        if existing.up_to_date:
+        same, reason = existing_results(local.folder, run.table)
+        if same is not None:
             return "; ".join(["up to date", *rerun_left(local.folder)])
-        if existing.reason:
-            return f"done again ({existing.reason})"
+        if reason:
+            return f"done again ({reason})"
         stopped = part_of(local.folder).exists()
         return "done again (it was stopped before its end)" if stopped else "new"
 
@@ -116,67 +105,52 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
         diagnostics, methods = run.log.diagnostics, run.recogniser.tracking
         # Are these very results there?
         if not job.overwrite:
-            existing = existing_results(job.folder, run.table)
-            if existing.up_to_date:
-                return _with_sightings(
+            same, reason = existing_results(job.folder, run.table)
+            if same is not None:
+                return _outcome(
+                    job,
                     methods,
-                    Outcome(
-                        status="partial" if existing.problems else "done",
-                        folder=job.folder,
-                        frames=existing.frames,
-                        unusable=existing.unusable,
-                        candidates=existing.candidates,
-                        problems=existing.problems,
-                        notes=[job.shown(line) for line in rerun_left(job.folder)],
-                        up_to_date=True,
-                    ),
+                    same.problems,
+                    frames=same.frames_processed,
+                    unusable=same.frames_unusable,
+                    candidates=same.candidates,
+                    notes=[job.shown(line) for line in rerun_left(job.folder)],
+                    up_to_date=True,
                 )
-            if existing.reason:
-                diagnostics.note(
-                    f"earlier results are replaced ({existing.reason})", about=job.folder
-                )
+            if reason:
+                diagnostics.note(f"earlier results are replaced ({reason})", about=job.folder)
         # Recognise the landmarks frame by frame, and write what is found.
         report(job.shown(run.basis))
-        first = list[Frame]()
         collector = Sightings(run.landmarks, run.fan, run.poses)
         with ResultsWriter(job.folder, run.landmarks, run.table, collector) as writer:
-            _recognise(run, writer, first, observe)
+            _recognise(run, writer, observe)
             run.recogniser.report(diagnostics)
             problems = [job.shown(line) for line in diagnostics.problems]
             about_folder = writer.finish(problems, diagnostics.unusable)
         # Sum up.
-        outcome = _with_sightings(
+        outcome = _outcome(
+            job,
             methods,
-            Outcome(
-                status="partial" if problems else "done",
-                folder=job.folder,
-                frames=writer.frames,
-                unusable=diagnostics.unusable,
-                candidates=writer.candidates,
-                problems=problems,
-            ),
+            problems,
+            frames=writer.frames,
+            unusable=diagnostics.unusable,
+            candidates=writer.candidates,
         )
         if job.advise is not None:
-            ended = EndedRun(job, run, first, any(outcome.passes.values()))
-            diagnostics.advise(job.advise(ended))
+            diagnostics.advise(job.advise(run, has_sightings=any(outcome.passes.values())))
         notes = [*diagnostics.notes, *about_folder]
         return replace(outcome, notes=[job.shown(line) for line in notes])
 
 
-def _recognise(
-    run: PreparedRun,
-    writer: ResultsWriter,
-    first: list[Frame],
-    observe: Observe | None,
-) -> None:
+def _recognise(run: PreparedRun, writer: ResultsWriter, observe: Observe | None) -> None:
     """Recognise every frame and write the results, also those waiting when the run is stopped."""
     stamps = dict[int, Stamps]()  # of frames that are not written yet, in their order
 
     def frames() -> Iterator[Frame]:
         for frame in run.frames:
             stamps[frame.index] = frame.stamps
-            if len(first) < FIRST_FRAMES:
-                first.append(frame)
+            if len(run.first) < FIRST_FRAMES:
+                run.first.append(frame)
             yield frame
 
     try:
@@ -194,12 +168,15 @@ def _recognise(
         raise
 
 
-def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:
-    """The outcome with what is in its sightings.csv. methods: those that follow objects."""
+def _outcome(job: Job, methods: Sequence[str], problems: Sequence[str], **counted: Any) -> Outcome:
+    """The outcome of a job that has results, with what is in their sightings.csv.
+
+    methods: those that follow objects. counted: other fields.
+    """
     passes, landmarks = dict.fromkeys(methods, 0), Counter[int]()
 
     def of_method(method: str) -> Iterator[Sighting]:
-        for sighting in sightings_in(outcome.folder / "sightings.csv"):
+        for sighting in sightings_in(job.folder / "sightings.csv"):
             if sighting.method == method:
                 passes[method] += 1
                 if method == methods[0]:
@@ -210,4 +187,12 @@ def _with_sightings(methods: Sequence[str], outcome: Outcome) -> Outcome:
     for method in methods:
         longest = nlargest(MOST_SIGHTINGS, of_method(method), key=lambda s: s.frames_declared)
         sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
-    return replace(outcome, passes=passes, sightings=sightings, landmarks=dict(landmarks))
+    return Outcome(
+        status="partial" if problems else "done",
+        folder=job.folder,
+        problems=problems,
+        passes=passes,
+        sightings=sightings,
+        landmarks=dict(landmarks),
+        **counted,
+    )

@@ -32,11 +32,14 @@ from sonarrec.sonar import Sonar
 class PreparedRun:
     """An opened log, and what recognises landmarks in it."""
 
+    job: Job
     log: Log
     log_options: LogOptions
     """As used: completed by an earlier run and the log's own files."""
     frames: Iterator[Frame]
-    """Those asked for; the first ones were read already."""
+    """Those asked for; the first one was read already."""
+    first: list[Frame]
+    """The first FIRST_FRAMES, as they come."""
     frame_count: int | None
     """How many; None if the log does not say."""
     fan: Fan
@@ -102,9 +105,11 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
             table["model"] = model.as_table()
         geometry = _geometry(log, first.fan, source, given, earlier)
         yield PreparedRun(
+            job=job,
             log=log,
             log_options=log_options,
             frames=chain([first], frames),
+            first=[],
             frame_count=_frames_in(span, log.frame_count),
             fan=first.fan,
             landmarks=landmarks,

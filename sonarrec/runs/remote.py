@@ -12,14 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
 
-from sonarrec.errors import (
-    MissingError,
-    SonarrecError,
-    UsageError,
-    is_url,
-    number_of,
-    redact_url,
-)
+from sonarrec.errors import MissingError, SonarrecError, UsageError, is_url, number_of, redact_url
 from sonarrec.readers.containers.bag_folder import METADATA
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.named_logs import RESULTS

@@ -28,7 +28,7 @@ from sonarrec.runs import cores
 from sonarrec.runs.job import Event, Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, NAME, LogsTable, Row
 from sonarrec.runs.many import Watch, run_here, run_in_processes
-from sonarrec.runs.one import EndedRun, result_names
+from sonarrec.runs.one import result_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -187,7 +187,7 @@ def jobs_of(
     log_options: LogOptions,
     run_options: RunOptions,
     overwrite: bool = False,
-    advise: Callable[[EndedRun], Iterable[Advice]] | None = None,
+    advise: Callable[..., Iterable[Advice]] | None = None,
 ) -> list[Job]:
     """A job for each log. out: the folder of the results, or its URL.
 

@@ -306,11 +306,7 @@ def as_cell(text: str) -> str:
 
 def write_page(path: Path, *parts: str) -> None:
     """Write an HTML page, given in parts. Raises SonarrecError."""
-    with (
-        writing(path),
-        replaced(path) as new,
-        new.open("w", encoding="utf-8", newline="") as file,
-    ):
+    with writing(path), replaced(path) as new, new.open("w", encoding="utf-8", newline="") as file:
         file.writelines(parts)
 
 

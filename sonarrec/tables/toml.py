@@ -127,12 +127,7 @@ T = TypeVar("T")
 
 
 def from_table(
-    kind: type[T],
-    table: object,
-    where: str,
-    *,
-    section: str = "",
-    over: T | None = None,
+    kind: type[T], table: object, where: str, *, section: str = "", over: T | None = None
 ) -> T:
     """The dataclass `kind` from a TOML table; fields that are dataclasses from its sub-tables.
 

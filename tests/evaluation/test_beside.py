@@ -167,7 +167,7 @@ def test_copies_of_one_recording_count_once(logs: Path) -> None:
     assert "these other results of it are not scored" in done.stderr
     one, all_ = evaluate(alone, logs / "gt.csv"), evaluate(few, logs / "gt.csv")
     assert counts(scored(one, "strict")) == counts(scored(all_, "strict"))
-    assert one.summary.units.number == all_.summary.units.number
+    assert one.counts.units.number == all_.counts.units.number
     # A table of pairs that names it four times.
     rows = [("few/a", "gt.csv")] * 3 + [("few/link", "gt.csv")]
     write_csv(logs / "pairs.csv", ("results", "ground_truth"), rows)

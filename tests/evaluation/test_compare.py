@@ -53,9 +53,9 @@ def test_what_got_better_and_worse(sides: tuple[Path, Path, Path]) -> None:
     assert done.output.splitlines()[:5] == [
         f"{new} against {old}: worse: {rates} (m, strict) in out; cases in 1 of the "
         "6 units needed: no test",
-        "log  method  protocol  TPR before     now  FPR before     now",
-        "out  m       strict        1.0000  0.5000      0.0143  0.0000  worse",
-        "out  m       paper         1.0000  0.5000      0.0143  0.0000  worse",
+        "log  method  protocol  TPR before     now  FPR before     now  FP/100 before   now",
+        "out  m       strict        1.0000  0.5000      0.0143  0.0000           5.00  0.00  worse",
+        "out  m       paper         1.0000  0.5000      0.0143  0.0000           5.00  0.00  worse",
         "out frames 5-24, ID.1: right in 20 -> 10 of 20 (m, strict)",
     ]
     with (new / "evaluation" / "compare.csv").open() as file:

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.evaluation.counts import corners
-from sonarrec.evaluation.screen import rate
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
+from sonarrec.reports.screen import rate, screen
 from tests.support.claims import Scored, all_scored, evaluate
 from tests.support.command import sonarrec
 
@@ -189,6 +189,22 @@ def test_rules(tmp_path: Path, what, truth, claims, paper, strict) -> None:
     assert counts(scored(found, "paper"), 0) == paper, what
     assert counts(scored(found, "strict"), 0) == strict, what
     assert counts(scored(found, "strict"), 1) == (0, 1, 0, 0), what
+
+
+def test_false_claims_per_100_frames_are_of_the_frames_that_are_scored(tmp_path: Path) -> None:
+    """Three in eight frames, two of them in one; the landmark lies in the first two frames."""
+    right = [(f, "m", *NEAR, 1, 0.9, 1) for f in (0, 1)]
+    wrong = [(0, "m", *FAR, 1, 0.9, 1), (0, "m", *FAR, 2, 0.9, 1), (6, "m", *FAR, 2, 0.9, 1)]
+    case = write_case(tmp_path, range(8), right + wrong, [(f, 1, *NEAR, 1) for f in (0, 1)])
+    found = evaluate(*case)
+    assert scored(found, "strict").count().false_per_100 == 100 * 3 / 8
+    assert [scored(found, "strict").count(k).false_per_100 for k in (0, 1, 2)] == [12.5, 25, 0]
+    assert scored(found, "paper").count().false_per_100 == 25  # ID.1 is in view where it is claimed
+    of_labelled = evaluate(*case, labelled_only=True)
+    assert scored(of_labelled, "strict").count().false_per_100 == 100 * 2 / 2
+    assert found.table.loc["m", "strict false per 100"] == 37.5
+    shown = screen(found).splitlines()
+    assert [line.split()[-1] for line in shown if "per 100 frames" in line] == ["37.50"]
 
 
 def test_min_visible_is_of_protocol_strict_alone(tmp_path: Path) -> None:

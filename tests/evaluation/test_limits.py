@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from sonarrec.api.evaluate import compare
-from sonarrec.evaluation.compare import EACH, MOST_ROWS, Limits, change_text, judge, screen
+from sonarrec.evaluation.compare import EACH, Limits, change_text, judge
 from sonarrec.evaluation.pairs import Pair
+from sonarrec.reports.screen import MOST_ROWS, comparison
 from tests.evaluation.test_compare import FRAMES, TRUTH, claims, command
 from tests.evaluation.test_evaluation import write_case
 
@@ -128,7 +129,7 @@ def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     logs["log_3"], logs["log_5"] = claims({5}), claims(RIGHT - set(range(5, 15)))
     old, new, names = both(tmp_path, **logs)
     found = compare(old, new, [Pair(new / log, new / log / "gt.csv") for log in names])
-    lines = screen(found, judge(found, Limits(band=0.1))).splitlines()
+    lines = comparison(found, judge(found, Limits(band=0.1))).splitlines()
     assert "worse on 2 of 24 logs: log_3, log_5" in lines[0]
     assert [line.split()[0] for line in lines[2:9]] == [
         *(["log_3"] * 2 + ["log_5"] * 2 + ["total"] * 2 + ["44"])

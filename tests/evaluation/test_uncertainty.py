@@ -14,7 +14,6 @@ from sonarrec.evaluation.figures import (
     Sample,
     differences,
     intervals,
-    over_units,
     rates,
     summarise,
 )
@@ -24,6 +23,7 @@ from sonarrec.evaluation.uncertainty import (
     interval,
     rate_interval,
 )
+from sonarrec.reports.screen import over_units
 from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")
@@ -173,7 +173,8 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     assert (figure.value, figure.note) == (0.2, "alike in all 9 units: no interval")
     assert math.isnan(figure.high)
 
-    summary = summarise(counts(matched(40, seen(1, 0, 9) + seen(2, 20, 29), [])))
+    two_passes = counts(matched(40, seen(1, 0, 9) + seen(2, 20, 29), []))
+    summary = summarise(two_passes)
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
     (note,) = summary.notes
     assert "2 passes of landmarks in 1 log are 2 independent units" in note
@@ -182,7 +183,7 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     (note,) = summarise(counts(matched(40, together, []))).notes
     assert "3 passes of landmarks in 1 log are 1 independent unit" in note
     assert "about 5 more logs" in note
-    assert over_units(summary.units) == ""
+    assert over_units(two_passes.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"
     assert all(math.isnan(f.low) for f in summary.figures)

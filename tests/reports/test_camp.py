@@ -49,7 +49,7 @@ def test_one_of_two_lacks_truth(tmp_path: Path) -> None:
     scored, other, note = page.named["All logs"][2:]
     assert scored[0] == "dive01"
     assert float(scored[3]) > 0.5
-    assert other == ["dive02", "done", "6", *["-"] * 6]
+    assert other == ["dive02", "done", "6", *["-"] * 7]
     assert note == ["no ground truth"]
     (tmp_path / "camp" / "dive01" / "gt.csv").unlink()
     for name in ("dive01", "dive02"):
@@ -80,8 +80,8 @@ def test_twenty_logs_are_listed_the_worst_first(camp: Path) -> None:
     assert [row[:2] for row in rows if len(row) > 1][:2] == [[BROKEN, "failed"], [WORST, "done"]]
     assert "unreadable image" in rows[1][0]
     assert rows[-4:] == [
-        *([OTHER_SET, "done", "12", *["-"] * 6], ["another landmark set"]),
-        *([WITHOUT_TRUTH, "done", "12", *["-"] * 6], ["no ground truth"]),
+        *([OTHER_SET, "done", "12", *["-"] * 7], ["another landmark set"]),
+        *([WITHOUT_TRUTH, "done", "12", *["-"] * 7], ["no ground truth"]),
     ]
     assert len({row[0] for row in rows if len(row) > 1}) == 20
     good = [float(row[3]) - float(row[4]) for row in rows if row[3:] and row[3] != "-"]

@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner
 
 from sonarrec.cli import main
-from sonarrec.evaluation import screen
 from sonarrec.evaluation.rows import PROTOCOLS
+from sonarrec.reports import screen
 from tests.support.claims import all_scored, evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, as_written, tables, without_log

@@ -75,12 +75,14 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One recording scored. passes: of landmarks, whole in view. counts: by protocol, method."""
+    """One recording scored. passes: of landmarks, whole in view. counts: by protocol, method.
+    frames: that were scored."""
 
     kind: str
     seed: int
     passes: int
     counts: dict[tuple[str, str], Count]
+    frames: int = 0
 
 
 def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
@@ -95,7 +97,7 @@ def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
             if of == method
         }
         passes = len(found.passes)
-        rows.append(Row(recording.kind, recording.seed, passes, counts))
+        rows.append(Row(recording.kind, recording.seed, passes, counts, found.frames))
     return rows
 
 
@@ -161,12 +163,13 @@ def show_intervals(rows: Sequence[Row], keep: bool) -> None:
                 for rate, (low, high), form in both
             )
             false = sorted(r.counts["strict", name].fp for r in some)
-            line[f"`{name}`, false"] = f"{sum(false)}, {sum(false[-WORST:])}"
+            per_100 = f"{100 * sum(false) / sum(r.frames for r in some):.2f}"
+            line[f"`{name}`, false"] = f"{per_100} ({sum(false)}, {sum(false[-WORST:])})"
         lines.append(line)
     if lines:
         show(
-            "TPR / FPR strict with 95 % intervals over recordings; false claims, and how many of\n"
-            f"them are in the {WORST} recordings that have most",
+            "TPR / FPR strict with 95 % intervals over recordings; false claims per 100 frames\n"
+            f"(how many they are, and how many of them in the {WORST} recordings that have most)",
             lines,
             keep=keep,
         )

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sonarrec.arrays import Table
-from sonarrec.evaluation.counts import TOTAL, Counts, Tally
+from sonarrec.evaluation.counts import TOTAL, Counts, add_up, count_log
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.rows import Matched, ScoringOptions
@@ -95,10 +95,7 @@ def all_scored(of: Counts) -> list[Scored]:
 
 def counts(*logs: Matched) -> Counts:
     """The counts of logs."""
-    tally = Tally()
-    for log in logs:
-        tally.add(log)
-    return tally.counts([Path(f"log{n}") for n in range(len(logs))])
+    return add_up([*map(count_log, logs)], [Path(f"log{n}") for n in range(len(logs))])
 
 
 def evaluated(*logs: Matched) -> Evaluation:

@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sonarrec.config import Config
-from sonarrec.evaluation.counts import Counts, Tally
+from sonarrec.evaluation.counts import Counts, add_up, count_log
 from sonarrec.evaluation.rows import Matched, match
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
@@ -115,10 +115,7 @@ def score(folders: Sequence[Path]) -> Counts:
 
     Also of recordings without a landmark alone, which the command takes for a wrong truth.
     """
-    tally = Tally()
-    for folder in folders:
-        tally.add(matched(folder))
-    return tally.counts(folders)
+    return add_up([count_log(matched(folder)) for folder in folders], folders)
 
 
 class HoughRival:

@@ -29,7 +29,7 @@ from matplotlib.figure import Figure
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.config import preset
-from sonarrec.evaluation.counts import COUNTS, Counts, Tally
+from sonarrec.evaluation.counts import COUNTS, Counts, add_up, count_log
 from sonarrec.evaluation.plots import PUBLISHED
 from sonarrec.evaluation.rows import Matched
 from sonarrec.evaluation.uncertainty import coin_tosses
@@ -152,10 +152,7 @@ def record(job: Job) -> None:
 
 def summed(logs: Sequence[Matched], folders: Sequence[Path]) -> Counts:
     """The rates over some results."""
-    tally = Tally(rates_only=True)
-    for log in logs:
-        tally.add(log)
-    return tally.counts(folders)
+    return add_up([count_log(log, rates_only=True) for log in logs], folders)
 
 
 @dataclass(frozen=True, slots=True)

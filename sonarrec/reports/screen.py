@@ -1,4 +1,4 @@
-"""An evaluation as text: cells for the report's tables too, and the lines for the terminal."""
+"""Scores and comparisons as text: lines for the terminal, cells for the report's tables too."""
 
 from __future__ import annotations
 
@@ -6,20 +6,28 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sonarrec.errors import printable
-from sonarrec.evaluation.counts import TOTAL, Counts
-from sonarrec.evaluation.figures import MAIN, METRICS, Summary, over_units, units_text
-from sonarrec.evaluation.rows import labelled_frames
+import numpy as np
+
+from sonarrec.errors import number_of, printable
+from sonarrec.evaluation.compare import Comparison, Judgement, rate_text
+from sonarrec.evaluation.counts import TOTAL, Counts, Units
+from sonarrec.evaluation.figures import MAIN, METRICS, Summary, units_text
+from sonarrec.evaluation.uncertainty import LEVEL, MIN_UNITS
 from sonarrec.evaluation.write import Evaluation
 
 HEADLINE = ("tpr", "fpr")
-"""Shown in a table of their own before the other figures."""
+"""Shown before the other figures, in the report in a table of their own."""
+FALSE = "false claims per 100 frames"
 COUNT_ROWS = {"TP": "tp", "TN": "tn", "FP": "fp", "FN": "fn", "beta": "total"}
 TESTED = tuple(name for name, metric in METRICS.items() if metric.kind == "rates")
 """Those whose differences between methods are shown."""
 WIDTH = 100
 LABEL, COLUMN = 30, 23
 LEGEND = "once: TPR without double claims (each ID once per frame); beta: all counts, in the paper"
+MOST_ROWS = 24
+"""Of the table of a comparison; of more those of logs that are not worse are left out."""
+MOST_PASSES = 6
+"""Changed passes that are listed."""
 STAR = "* 0/0, printed as in the paper: there is nothing to measure"
 
 
@@ -36,17 +44,31 @@ NONE = Cell("-")
 
 
 class OperatingPoint(NamedTuple):
-    """Rates of one method under one protocol, and its mistakes: FN and FP."""
+    """Rates of one method under one protocol, and its mistakes: FN and FP, and these in 100
+    frames."""
 
     tpr: Cell
     fpr: Cell
     missed: int
     false: int
+    false_per_100: str
 
 
 def protocols(counts: Counts) -> list[str]:
     """The protocols that were scored, the stricter one first."""
     return [*reversed(counts.protocols)]
+
+
+def labelled_frames(scored: int, left_out: int | None) -> list[str]:
+    """A line on how many frames count if these are the labelled ones; left_out: None if all are."""
+    if left_out is None:
+        return []
+    return [f"labelled frames only: {scored} of {scored + left_out}; the others are not scored"]
+
+
+def over_units(units: Units) -> str:
+    """The part of a table's caption about its intervals; empty if there are none."""
+    return f"; {LEVEL:.0%} intervals over {units_text(units)}" if units.number >= MIN_UNITS else ""
 
 
 def paper_table(
@@ -99,6 +121,7 @@ def _point(count: Any, tpr: Cell = NONE, fpr: Cell = NONE) -> OperatingPoint:
         fpr._replace(value=rate(count.fp, negatives) if negatives else NONE.value),
         count.fn,
         count.fp,
+        number(count.false_per_100, 2),
     )
 
 
@@ -165,16 +188,18 @@ def screen(evaluation: Evaluation, details: bool = False) -> str:
     lines = labelled_frames(counts.frames, evaluation.left_out) + _paper_tables(counts)
     names = [name for name, metric in METRICS.items() if metric.brief or details]
     for protocol in (main, *others) if details else (main,):
-        lines += ["", f"protocol {protocol}, all IDs{over_units(summary.units)}"]
+        lines += ["", f"protocol {protocol}, all IDs{over_units(counts.units)}"]
         columns = (WIDTH - LABEL) // COLUMN
         for first in range(0, len(counts.methods), columns):
             some = counts.methods[first : first + columns]
             lines.append(_row("", [m[: COLUMN - 1] for m in some]))
-            for label, row in figures(summary, protocol, some, names):
-                lines.append(_row(label, list(map(_text, row))))
+            rows = figures(summary, protocol, some, names)
+            false = (counts.count(method, protocol).false_per_100 for method in some)
+            rows.insert(len(HEADLINE), (FALSE, [Cell(number(value, 2)) for value in false]))
+            lines += [_row(label, [_text(cell) for cell in row]) for label, row in rows]
     tests = differences(summary, main)
     if any(cell.test.startswith("p = ") for _, cells in tests for cell in cells):
-        test = f"paired sign-flip test over {units_text(summary.units)}"
+        test = f"paired sign-flip test over {units_text(counts.units)}"
         lines += [*([""] if details else []), f"protocol {main}, differences; {test}"]
         for pair, cells in tests:
             by_label = {METRICS[n].label: cell for n, cell in zip(TESTED, cells, strict=True)}
@@ -225,12 +250,63 @@ def _row(label: str, columns: Sequence[str]) -> str:
 
 
 def _per_log(counts: Counts, protocol: str) -> list[str]:
-    lines = ["", f"protocol {protocol}, per log"]
-    head = f"{'TPR':>8}{'FPR':>9}{'TP':>7}{'FP':>6}{'FN':>6}"
+    lines = ["", f"protocol {protocol}, per log; FP/100: {FALSE}"]
+    head = f"{'TPR':>8}{'FPR':>9}{'FP/100':>8}{'TP':>7}{'FP':>6}{'FN':>6}"
     lines.append(f"{'':<{LABEL}}{'method':<{COLUMN}}{head}")
     for log in counts.logs:
         for method in counts.methods:
             c = counts.count(method, protocol, TOTAL, log)
             lines.append(_row(log[-LABEL + 1 :], [method[: COLUMN - 1]]).ljust(LABEL + COLUMN))
-            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
+            lines[-1] += f"{number(c.tpr, 3):>8}{number(c.fpr, 4):>9}"
+            lines[-1] += f"{number(c.false_per_100, 2):>8}{c.tp:>7}{c.fp:>6}{c.fn:>6}"
     return lines
+
+
+HEADING = (
+    *("log", "method", "protocol", "TPR before", "now", "FPR before", "now"),
+    *("FP/100 before", "now", ""),
+)
+
+
+def comparison(compared: Comparison, judged: Judgement) -> str:
+    """The sentence of a comparison, its table, then the passes that changed most."""
+    rows = judged.rows
+    if len(rows) > MOST_ROWS:
+        worse = [row for row in rows if row.log != TOTAL and row.mark == "worse"]
+        rows = (*worse[:MOST_ROWS], *(row for row in rows if row.log == TOTAL))
+    cells: list[tuple[str, ...]] = [HEADING]
+    for row in rows:
+        texts = (rate_text(value) for rate in (row.tpr, row.fpr) for value in (rate.old, rate.new))
+        of_row = row.method, row.protocol, TOTAL, "" if row.log == TOTAL else row.log
+        both = (side.count(*of_row).false_per_100 for side in (compared.before, compared.after))
+        false = (f"{value:.2f}" for value in both)
+        cells.append((row.log, row.method, row.protocol, *texts, *false, row.mark))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [judged.sentence, *labelled_frames(compared.after.frames, compared.left_out)]
+    for cell in cells if rows else ():
+        texts = (f"{c:{'<<<>>>>>><'[n]}{widths[n]}}" for n, c in enumerate(cell))
+        lines.append("  ".join(texts).rstrip())
+    if more := len(judged.rows) - len(rows):
+        lines.append(number_of(more, "more row"))
+    return "\n".join(map(printable, [*lines, *_changed_passes(compared)]))
+
+
+def _changed_passes(compared: Comparison) -> list[str]:
+    """The passes in which the leading method, under the stricter protocol, changed most."""
+    method = compared.methods[0][1]
+    protocol = max(protocol for protocol, other in compared.methods if other == method)
+    old, new = (
+        passes[(passes["method"] == method) & (passes["protocol"] == protocol)]
+        for passes in (compared.before.passes, compared.after.passes)
+    )
+    change = np.abs(new["right"] - old["right"])
+    order = np.argsort(-change, kind="stable")[:MOST_PASSES]
+    most = new.with_columns(old=old["right"])[order[change[order] > 0]]
+    names = ("log", "first_frame", "last_frame", "landmark", "old", "right", "frames")
+    return [
+        f"{log} frames {first}-{last}, ID.{landmark}: "
+        f"right in {was} -> {now} of {frames} ({method}, {protocol})"
+        for log, first, last, landmark, was, now, frames in zip(
+            *(most[name] for name in names), strict=True
+        )
+    ]
