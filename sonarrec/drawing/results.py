@@ -100,11 +100,13 @@ def draw_frame(
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
     score: bool = False,
+    marked: int | None = None,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
     and grey. paths: as `trails` gives them. truth: dashed white. score: in place of probabilities.
+    marked: number of an object whose outline is twice as thick as that of other declared ones.
     Returns (rows, columns, 3) uint8 BGR, both sides a whole factor of the fan's.
     """
     pen = pen_on(image, fan)
@@ -115,7 +117,8 @@ def draw_frame(
         if paths and e.object in paths:
             pen.line(paths[e.object], colour, 1)
         outline = outline_of(e, fan, landmarks)
-        pen.line(outline, colour, 2 if e.declared else 1, closed=True)
+        width = 1 if not e.declared else 4 if e.object == marked else 2
+        pen.line(outline, colour, width, closed=True)
         farthest = AROUND
         if e.declared and e.read and np.isfinite(e.orientation_deg):
             _draw_symbols(pen, e, fan, landmarks, colour)
