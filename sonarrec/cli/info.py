@@ -76,12 +76,10 @@ def info(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Show what is in LOG, whether it is complete, and how `run` would read it. Of several logs a
-    table shows a row each.
-
-    LOG is as in `sonarrec run`. Every frame is read and every checksum compared to see how many
-    frames can be used; --quick leaves that out. An incomplete geometry is no fault. Exit code 3:
-    part of the log cannot be used; 1: none of it can.
+    """Show what is in LOG, whether it is complete, and how `run` would read it; of several logs a
+    row each. LOG is as in `sonarrec run`. Every frame is read and every checksum compared to see
+    how many frames can be used; --quick leaves that out. An incomplete geometry is no fault. Exit
+    code 3: part of the log cannot be used; 1: none of it can.
 
     \b
     Examples:
@@ -185,10 +183,13 @@ def row_cells(info: LogInfo) -> Iterator[tuple[str, str, str, str, str]]:
         span = "-"
         if images.start_ns is not None and images.end_ns is not None:
             span = f"{(images.end_ns - images.start_ns) / 1e9:.1f} s"
+        elif images.frames and (rate_hz := images.geometry.get("frame_rate_hz")):
+            span = f"{(images.frames - 1) / rate_hz:.1f} s"
         lacks = [f"lacks {', '.join(images.lacks)}"] if images.lacks else []
         notes = [number_of(len(images.notes), "note")] if images.notes else []
         name = info.path if images.topic is None or not info.images[1:] else images.topic
-        state = "; ".join([*broken, *lacks, *notes]) or ("whole" if info.checked else "not checked")
+        sound = ["whole" if info.checked else "not checked"]
+        state = "; ".join([*(broken + lacks or sound), *notes])
         yield name, frames, span, ", ".join(_stated(images.geometry)[:2]) or "-", state
 
 

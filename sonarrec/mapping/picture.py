@@ -26,7 +26,7 @@ LINES = "#333333"
 PLATE = "#555555"
 """Colour of what is dark to a sonar."""
 MOST_PARTS = 9  # of a paused log without poses that are drawn, each by itself
-LEAST_PATH_M = 0.05  # extent of a path that can be seen beside the mark of its first place
+LEAST_PATH_M = 0.05  # extent of a path that its first place's mark does not cover
 MOST_FANS = 150  # fans that are drawn for each log, at most, to show the floor in view
 
 
@@ -100,8 +100,8 @@ def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) ->
     radius, ids = site.landmark_set.radius_m, site.landmark_set.ids
     colour = tuple(np.array(landmark_colours(ids)[landmark.id]) / 255)
     position = site.position(landmark.position)
-    turned_deg = landmark.orientation_deg - 90 * site.ros_axes
-    dark, lit = _drawing(site.landmark_set, ids.index(landmark.id), position, turned_deg)
+    rotation_deg = landmark.orientation_deg - 90 * site.ros_axes
+    dark, lit = _drawing(site.landmark_set, ids.index(landmark.id), position, rotation_deg)
     for parts, inside in ((dark, PLATE), (lit, colour)):
         axes.add_collection(PatchCollection(parts, facecolors=[inside], linewidths=0, zorder=2))
     axes.plot(
@@ -122,27 +122,27 @@ def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) ->
 
 
 def _drawing(
-    landmarks: LandmarkSet, k: int, position: FloatArray, turned_deg: float
+    landmarks: LandmarkSet, k: int, position: FloatArray, rotation_deg: float
 ) -> tuple[list[Patch], list[Patch]]:
     """The k-th landmark as it lies: what is dark to a sonar, and what is bright.
 
-    turned_deg: counter-clockwise from the x axis; NaN: not known, then it is drawn without symbol.
+    rotation_deg: counter-clockwise from the x axis; NaN: not known, then no symbol is drawn.
     """
-    radius, known = landmarks.radius_m, not math.isnan(turned_deg)
+    radius, known = landmarks.radius_m, not math.isnan(rotation_deg)
     if isinstance(landmarks, DrawnSet):
         drawing = landmarks.drawings()[k]
-        side, angle = 2 * radius / len(drawing), math.radians(turned_deg if known else 0)
-        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        side, angle = 2 * radius / len(drawing), math.radians(rotation_deg if known else 0)
+        rotate = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         square = np.array([[0, 0], [1, 0], [1, -1], [0, -1]])
 
         def cell(row: float, column: float, size: float) -> Patch:
             corners = np.array([column * side - radius, radius - row * side]) + size * square
-            return Polygon(position + corners @ turn)
+            return Polygon(position + corners @ rotate)
 
-        whole = [cell(0, 0, 2 * radius)]
+        plate = [cell(0, 0, 2 * radius)]
         if not known:
-            return [], whole
-        return whole, [cell(row, column, side) for row, column in np.argwhere(drawing).tolist()]
+            return [], plate
+        return plate, [cell(row, column, side) for row, column in np.argwhere(drawing).tolist()]
     x, y = position.tolist()
     (inner, outer), sectors = landmarks.symbol, landmarks.sectors[k]
     step = 360 / len(sectors)
@@ -156,7 +156,7 @@ def _drawing(
         )
     ]
     for n in np.flatnonzero(sectors).tolist() if known else ():
-        first = turned_deg + n * step
+        first = rotation_deg + n * step
         width = radius * (outer - inner)
         lit.append(Wedge((x, y), radius * outer, first, first + step, width=width))
     return [Wedge((x, y), radius, 0, 360)], list(lit)

@@ -90,6 +90,9 @@ class ThreeStages(ABC):
         `stage3` must have had all earlier frames.
         """
 
+    def judge_alone(self) -> None:  # noqa: B027
+        """Let stage 3 declare IDs in the only frame of a log, where it can: plates need two."""
+
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
         if self._stretch not in (None, frame.stretch):
@@ -195,6 +198,7 @@ class DiscStages(ThreeStages):
                 config.continuity.remember_frames,
             )
         self._estimates = Estimates(config, plane, landmarks)
+        self._declare_alone = features.declare_alone
 
     def begin_stretch(self) -> None:
         self.odometry.begin_stretch()
@@ -202,6 +206,11 @@ class DiscStages(ThreeStages):
         # AppearanceMeasurement finds a track by its number, and no later track gets an old number.
         if isinstance(self._measurement, PublishedMeasurement):
             self._measurement.begin_stretch()
+
+    def judge_alone(self) -> None:
+        if isinstance(self._measurement, AppearanceMeasurement):  # the published needs no other
+            self._measurement.least_frames = 1
+            self._estimates.declare = self._declare_alone
 
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         # How did the sonar move since the frame before?

@@ -47,6 +47,9 @@ class Reads(Protocol):
 class AppearanceMeasurement:
     """Beliefs from each track's averaged shape matrix, frame by frame."""
 
+    least_frames: int = LEAST_FRAMES
+    """Of a track, before it is judged."""
+
     def __init__(
         self,
         config: Features,
@@ -75,7 +78,7 @@ class AppearanceMeasurement:
         tracked = joined(groups)
         smear = self._smear(tracked.positions)
         # Judge the tracks that are likely to be objects; of the others nothing is known.
-        likely = evidence.frames >= LEAST_FRAMES
+        likely = evidence.frames >= self.least_frames
         likely &= tracked.existence >= LEAST_EXISTENCE
         due = np.flatnonzero(likely | self._read.every_frame)
         reading = self._read(
@@ -93,7 +96,8 @@ class AppearanceMeasurement:
         best, _ = likeliest(probabilities)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
-        enough_evidence = evidence.frames >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        least_frames = np.where(few_beams, FRAMES_OF_FEW_BEAMS, self.least_frames)
+        enough_evidence = evidence.frames >= least_frames
         enough_evidence &= tracked.in_view
         return Beliefs(
             probabilities,
