@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longe
     from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 
 # Stated here, because looking it up in the installed package takes longer than loading click.
-VERSION = "0.2.0.dev0"
+VERSION = "0.2.0"
 PART = ".part"
 """Ending of the name of a results folder whose run is not finished; no other folder has it."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})

@@ -71,9 +71,13 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
         )
     if saturated:
         yield Advice(f"{saturated:.0%} of the frames {cause}")
-    if log.untimed:
+    alone = len(ended.first) == 1
+    if log.untimed and not alone:
         yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
     if has_sightings or narrow or not run.recogniser.tracking:
+        return
+    if alone:
+        yield Advice(_of_one_frame(ended))
         return
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
@@ -88,6 +92,18 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     yield Advice(
         f"then landmark set and size ({_landmarks(run)}; a landmark of "
         f"{landmarks.name} is {wide}) and level ({_again(run, '--pixel-scale', scale)})"
+    )
+
+
+def _of_one_frame(ended: EndedRun) -> str:
+    """Why nothing may be declared in the only frame of a run."""
+    features = ended.job.run_options.configs[0].features
+    if isinstance(ended.run.landmarks, DrawnSet):
+        return "no landmark declared: IDs of drawn plates are declared from the second frame on"
+    return (
+        f"no landmark declared: in a single frame an ID needs a score of {features.declare_alone:g}"
+        f" (features.declare_alone), in a log of more frames {features.declare:g} from its second "
+        "frame on; `sonarrec overlay` shows what is likely"
     )
 
 

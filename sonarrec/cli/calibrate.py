@@ -19,7 +19,7 @@ from sonarrec.errors import as_usage
 @options.reading(time=True)
 @options.landmarks
 @options.settings
-@options.out(NEW_FILE, "The model, for `sonarrec run --model`.", required=True)
+@options.out(NEW_FILE, "The model, for `sonarrec run --model`.", ".toml", required=True)
 @options.quiet
 def calibrate(
     log: tuple[str, ...],

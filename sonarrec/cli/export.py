@@ -21,6 +21,7 @@ from sonarrec.cli.groups import ANY, command, in_output
     ANY,
     "A new file; for several logs a folder, in which each has LOG.json. An existing file is not "
     "overwritten.  [default: coco.json, or the folder coco]",
+    ".json",
 )
 @options.quiet
 def export(results: tuple[Path, ...], method: str | None, out: Path | None, quiet: bool) -> None:

@@ -82,7 +82,8 @@ def info(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Show what is in LOG, whether it is complete, and how `run` would read it.
+    """Show what is in LOG, whether it is complete, and how `run` would read it; of several logs a
+    row each.
 
     LOG is as in `sonarrec run`. It is checked which frames can be used, unless --quick is given.
     An incomplete geometry is no fault. Exit code 3: part of the log cannot be used; 1: none can.
@@ -112,6 +113,9 @@ def info(
         check_output(preview, "picture", names)
     about: LogInfo | None = None
     documents, codes = list[dict[str, Any]](), list[int]()
+    several, width = len(logs) > 1, min(max(3, *map(len, names)), 40) if names else 3
+    if several and not as_json:
+        say(_row(width, ROW_HEADS))
     for item, name in zip(logs, names, strict=True):
         try:
             with progress(quiet) as step:
@@ -125,13 +129,15 @@ def info(
                     advise=of_log,
                 )
         except SonarrecError as error:
+            if several and not as_json:
+                say(_row(width, (name, "-", "-", "-", "cannot be read")))
             print_notes([str(error)])
             documents.append({"path": name, "error": str(error)})
             codes.append(code_of(error))
             continue
-        if not as_json:
-            if documents:
-                say("")
+        if several and not as_json:
+            say(*(_row(width, cells) for cells in row_cells(about)))
+        elif not as_json:
             say(*lines(about, reading["sonar"].as_options()))
         documents.append(asdict(about))
         codes.append(FAILED if about.has_no_frame else PARTLY * about.has_problems)
@@ -147,6 +153,8 @@ def info(
         _draw(preview, logs[0], reading, landmarks)
         if not quiet:
             inform(f"{preview}: the first usable frame with the geometry drawn onto it")
+    if several and not as_json and any(codes):
+        inform("`sonarrec info` of one log shows all that is known of it")
     leave(code_of_all(codes))
 
 
@@ -164,6 +172,41 @@ def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str 
         first = next(iter(opened))
         stated = opened.sonar
     write_png(preview, draw_preview(first.image, first.fan, landmark_set, stated))
+
+
+# What is printed of many logs: a row each
+
+
+def _row(width: int, cells: Sequence[str]) -> str:
+    """A row of the table. width: of the names of logs."""
+    log, frames, span, geometry, state = cells
+    return f"{log:<{width}}  {frames:>9}  {span:>9}  {geometry:<26}  {state}"
+
+
+def row_cells(info: LogInfo) -> Iterator[tuple[str, str, str, str, str]]:
+    """The cells of a log, of each of its sequences of images: those of ROW_HEADS."""
+    faulty = bool(info.faults) or (info.container is not None and not info.container.footer)
+    broken = ["cut short or damaged"] if faulty else []
+    if not info.images:
+        yield info.path, "0", "-", "-", "; ".join([*broken, "no images"])
+    for images in info.images:
+        frames = "?" if images.frames is None else str(images.frames)
+        if images.usable is not None and images.usable != images.frames:
+            frames = f"{images.usable} of {frames}"
+        span = "-"
+        if images.start_ns is not None and images.end_ns is not None:
+            span = f"{(images.end_ns - images.start_ns) / 1e9:.1f} s"
+        elif images.frames and (rate_hz := images.geometry.get("frame_rate_hz")):
+            span = f"{(images.frames - 1) / rate_hz:.1f} s"
+        lacks = [f"lacks {', '.join(images.lacks)}"] if images.lacks else []
+        notes = [number_of(len(images.notes), "note")] if images.notes else []
+        name = info.path if images.topic is None or not info.images[1:] else images.topic
+        sound = ["whole" if info.checked else "not checked"]
+        state = "; ".join([*(broken + lacks or sound), *notes])
+        yield name, frames, span, ", ".join(_stated(images.geometry)[:2]) or "-", state
+
+
+ROW_HEADS = ("log", "frames", "span", "geometry", "state")
 
 
 # What is printed of a log: what is wrong first, notes last
@@ -285,17 +328,8 @@ def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator
     """The geometry, where each key is from, and what it lacks."""
     from sonarrec.readers.open import SONAR_FILE, own_file
 
-    known, parts = images.geometry, []
-    if {"range_min_m", "range_max_m"} <= set(known):
-        parts.append(f"{known['range_min_m']:.4g} to {known['range_max_m']:.4g} m")
-    if "bearings_deg" in known:
-        beams = known["bearings_deg"]
-        parts.append(f"{len(beams)} beams from {min(beams):.4g} to {max(beams):.4g} deg")
-    elif "field_of_view_deg" in known:
-        parts.append(f"{known['field_of_view_deg']:g} deg")
-    parts += [f"tilt {known['tilt_deg']:g} deg"] if "tilt_deg" in known else []
-    parts += [f"height {known['height_m']:g} m"] if "height_m" in known else []
-    yield ", ".join(parts)
+    known = images.geometry
+    yield ", ".join(_stated(known))
     names = {"flag": "by flag", "message": "from the messages", "default": "by default"}
     names |= {"header": "from the headers", "found": "found from the pings", "assumed": "assumed"}
     by_origin: dict[str, list[str]] = {}
@@ -319,6 +353,24 @@ def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator
             yield f"give {flags}, or write a sonar.toml; to begin one:"
             file = own_file(log, SONAR_FILE)
             yield command_line("info", log, *topic, *given, "--write-sonar", file)
+
+
+def _stated(known: dict[str, Any]) -> list[str]:
+    """The values of a geometry in words: window, bearings, tilt and height, those that there are.
+
+    known: keys of sonar.toml.
+    """
+    parts = []
+    if {"range_min_m", "range_max_m"} <= set(known):
+        parts.append(f"{known['range_min_m']:.4g} to {known['range_max_m']:.4g} m")
+    if "bearings_deg" in known:
+        beams = known["bearings_deg"]
+        parts.append(f"{len(beams)} beams from {min(beams):.4g} to {max(beams):.4g} deg")
+    elif "field_of_view_deg" in known:
+        parts.append(f"{known['field_of_view_deg']:g} deg")
+    parts += [f"tilt {known['tilt_deg']:g} deg"] if "tilt_deg" in known else []
+    parts += [f"height {known['height_m']:g} m"] if "height_m" in known else []
+    return parts
 
 
 # A sonar.toml to complete

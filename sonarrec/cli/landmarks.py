@@ -33,6 +33,7 @@ from sonarrec.errors import UsageError, number_of
     NEW_FILE,
     "Draw every disc or plate, as drawn and as the beams show it, into this PNG. An SVG: a sheet, "
     "to scale, to cut plates from.",
+    *(".png", ".svg"),
 )
 @options.quiet
 def landmarks(

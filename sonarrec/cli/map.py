@@ -59,7 +59,8 @@ def map_(
 
     RESULTS are folders that `sonarrec run` wrote, of one log or of several (default:
     sonarrec_out). Logs of one site, with poses in one coordinate frame, make one map. Without poses
-    the map of a log is relative to the sonar at its first frame, and uses the measured motion.
+    the map of a log is relative to the sonar at its first frame, and uses the measured motion; then
+    several logs make a map each, in RESULTS/LOG/map, or in OUT/LOG.
 
     Writes map.csv, passes.csv, map.png and, with --origin, map.geojson.
 
@@ -69,16 +70,15 @@ def map_(
       sonarrec map day1/dive day2/dive -o site
       sonarrec map sonarrec_out/dive --drift 0.1,5 --origin 54.3233,10.1394,87
     """
-    from sonarrec.mapping.build import make_map
+    from sonarrec.mapping.build import SeveralFramesError, make_map
     from sonarrec.mapping.path import Drift
     from sonarrec.mapping.write import GeographicOrigin, lines, write_all
+    from sonarrec.results.folders import folder_names, log_of
     from sonarrec.tables.outputs import below
 
     folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
-    if out is None:
-        if len(folders) > 1:
-            raise UsageError("several RESULTS need --out, the folder of their map")
-        out = below(folders[0], "map")
+    if out is None and len(folders) > 1:
+        raise UsageError("several RESULTS need --out, the folder of their map")
     on_earth = None
     if origin is not None:
         on_earth = GeographicOrigin(*options.numbers("--origin", origin, 3))
@@ -89,9 +89,22 @@ def map_(
     errors = Drift(*options.numbers("--drift", drift or "0,0", 2))
     if min(errors.position_m, errors.yaw_deg) < 0:
         raise UsageError(f"--drift {drift}: standard errors must not be negative")
-    site = make_map(
-        folders, odometry, errors, method, landmarks=landmarks, sonar=sonar, min_frames=min_frames
-    )
-    write_all(out, site, on_earth)
-    summary = [f"{out}: {number_of(site.count, 'log')}", *(f"  {line}" for line in lines(site))]
-    finish(quiet, summary, site.diagnostics.problems, site.diagnostics.notes)
+    given: dict[str, Any] = {"odometry": odometry, "drift": errors, "method": method}
+    given |= {"landmarks": landmarks, "sonar": sonar, "min_frames": min_frames}
+    problems: list[str] = []
+    try:
+        sites = {out or below(folders[0], "map"): make_map(folders, **given)}
+    except SeveralFramesError as error:
+        if on_earth is not None:
+            raise
+        names = folder_names([(log_of(f), f.resolve()) for f in error.folders])
+        sites, problems = {}, [*error.left_out]
+        for name, folder in zip(names, error.folders, strict=True):
+            sites[folder / "map" if out is None else out / name] = make_map([folder], **given)
+    summary, notes = list[str](), list[str]()
+    for path, site in sites.items():
+        write_all(path, site, on_earth)
+        summary += [f"{path}: {number_of(site.count, 'log')}", *(f"  {x}" for x in lines(site))]
+        problems += site.diagnostics.problems
+        notes += site.diagnostics.notes
+    finish(quiet, summary, problems, list(dict.fromkeys(notes)))

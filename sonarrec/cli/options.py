@@ -28,7 +28,7 @@ from sonarrec.cli.groups import (
     in_settings,
 )
 from sonarrec.errors import UsageError, as_usage, is_url
-from sonarrec.records import Clock
+from sonarrec.records import IMAGE_SUFFIXES, Clock
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
@@ -37,6 +37,14 @@ if TYPE_CHECKING:
     from sonarrec.readers.named_logs import NamedLog
     from sonarrec.sonar import Sonar
 
+
+ENDINGS = IMAGE_SUFFIXES | {
+    *(".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".wmv", ".gif", ".webp", ".svg"),
+    *(".mcap", ".bag", ".db3", ".aris", ".ddf", ".oculus", ".npy", ".zip", ".parquet"),
+    *(".html", ".htm", ".pdf", ".csv", ".tsv", ".txt", ".json", ".geojson", ".xml", ".md"),
+    *(".xlsx", ".ods", ".toml"),
+}
+"""Endings of names of files: a folder that is to be made has none of them."""
 
 # Logs: which, and how they are read
 
@@ -410,6 +418,21 @@ def json(text: str = "Print one JSON document on stdout.") -> Decorator:
     return in_output("--json as_json", is_flag=True, help=text)
 
 
-def out(kind: click.Path, text: str, **options: Any) -> Decorator:
-    """-o, --out. text: what it names."""
-    return in_output("-o --out", type=kind, help=text, **options)
+def out(kind: click.Path, text: str, *endings: str, **options: Any) -> Decorator:
+    """-o, --out. text: what it names. endings: of the files that the command writes there.
+
+    Other endings of files are refused, so that no page is called .pdf, and no folder x.avi.
+    """
+    written = [*endings, *(["a folder (a name without an ending)"] if kind.dir_okay else [])]
+
+    def checked(_: click.Context, __: click.Parameter, value: Path | str | None) -> Any:
+        path = Path(value or "")
+        ending = path.suffix.lower()
+        is_wrong = ending in ENDINGS if kind.dir_okay else ending != ""
+        if is_wrong and ending not in endings and (path.is_file() or not path.exists()):
+            raise UsageError(
+                f"--out {value}: {ending} is not written here; choose {' or '.join(written)}"
+            )
+        return value
+
+    return in_output("-o --out", type=kind, help=text, callback=checked, **options)

@@ -31,6 +31,7 @@ Target = tuple[Path, Path | None, Sequence["Mistake"]]
     ANY,
     "What to write, by its ending: NAME.mcap (annotations for Foxglove), NAME.mp4 (a video), else "
     "a folder of images.",
+    *(".mp4", ".mcap"),
     required=True,
 )
 @options.method

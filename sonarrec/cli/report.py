@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 )
 @options.topic
 @options.scoring
-@options.out(NEW_FILE, "The page.  [default: report.html in RESULTS]")
+@options.out(NEW_FILE, "The page.  [default: report.html in RESULTS]", ".html", ".htm")
 @options.quiet
 def report(
     results: Path | None,

@@ -294,16 +294,18 @@ def _without_path(text: str, job: Job) -> str:
 def _table(jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> Iterator[str]:
     """A row for each log: what was found in it."""
     width = max(3, *(min(len(job.name), 40) for job in jobs[:MOST_ROWS]))
-    yield f"{'log':<{width}}  {'frames':>7}  {'notes':>5}  frames with a landmark declared"
+    head = f"{'log':<{width}}  {'frames':>7}  {'notes':>5}"
+    yield f"{head}  {'state':<10}  frames with a landmark declared"
     for job, outcome in [*zip(jobs, outcomes, strict=True)][:MOST_ROWS]:
         name = f"{job.name:<{width}}"
         if outcome.error is not None:
-            yield f"{name}  {'-':>7}  {'-':>5}  failed"
+            yield f"{name}  {'-':>7}  {'-':>5}  failed      -"
             continue
         notes = "-" if outcome.up_to_date else str(len(outcome.notes))
         seen = [f"ID.{landmark}: {count}" for landmark, count in sorted(outcome.landmarks.items())]
         lost = f"; {outcome.unusable} unusable" if outcome.unusable else ""
-        yield f"{name}  {outcome.frames:>7}  {notes:>5}  {', '.join(seen) or 'none'}{lost}"
+        state = f"{outcome.frames:>7}  {notes:>5}  {_in_words(outcome):<10}"
+        yield f"{name}  {state}  {', '.join(seen) or 'none'}{lost}"
     if len(jobs) > MOST_ROWS:
         yield f"{len(jobs) - MOST_ROWS} more in logs.csv"
 

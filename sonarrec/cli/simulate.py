@@ -29,6 +29,7 @@ from sonarrec.errors import number_of
 @options.out(
     ANY,
     "Folder for the recording, or NAME.mcap for one file with its companions next to it.",
+    ".mcap",
     required=True,
 )
 @options.quiet

@@ -79,7 +79,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 )
 @options.reading()
 @options.landmarks
-@options.out(NEW_FILE, f"{NEW}  [default: gt.csv; coco.json with --to coco]")
+@options.out(NEW_FILE, f"{NEW}  [default: gt.csv; coco.json with --to coco]", ".csv", ".json")
 @options.quiet
 def convert(
     annotations: Path,
@@ -127,6 +127,8 @@ def convert(
             )
             by_id = ", ".join(f"{i} {count}" for i, count in counts.items()) or "no landmark"
             line = f"{file}: {number_of(sum(counts.values()), 'row')} ({by_id})"
+    if diagnostics.problems:  # an existing file is not overwritten
+        diagnostics.note(f"{file} lacks what is named above; remove it before you convert again")
     finish(quiet, [line], diagnostics.problems, diagnostics.notes)
 
 
@@ -242,7 +244,7 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
     default=8,
     help="Longest gap in a track that is filled in, frames.",
 )
-@options.out(NEW_FILE, NEW, default=Path("gt_proposed.csv"))
+@options.out(NEW_FILE, NEW, ".csv", default=Path("gt_proposed.csv"))
 @options.quiet
 def propose(
     results: Path, method: str | None, min_score: float, max_gap: int, out: Path, quiet: bool
@@ -302,7 +304,11 @@ def propose(
     is_flag=True,
     help="Begin with the passes on which results and truth disagree, from `sonarrec evaluate`.",
 )
-@options.out(ANY, "The page; of a folder of logs the folder of the pages.  [default: review.html]")
+@options.out(
+    ANY,
+    "The page; of a folder of logs the folder of the pages.  [default: review.html]",
+    *(".html", ".htm"),
+)
 @options.quiet
 def review(
     log: str,

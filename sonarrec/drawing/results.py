@@ -35,6 +35,7 @@ STRIP_FRAMES = 120
 """How far back trails and the probability strip reach."""
 
 _TICK_FRAMES = 20  # between ticks of the strip's time axis
+_EQUAL = 1e-5  # probabilities that differ less are equal; tables have six digits
 
 
 class Mark(NamedTuple):
@@ -78,8 +79,8 @@ def caption(estimate: Estimate, landmarks: LandmarkSet, *, score: bool = False) 
         number = float(estimate.probabilities[landmarks.ids.index(estimate.landmark)])
     if estimate.declared:
         return f"ID.{estimate.landmark}  {number:.2f}"
-    if np.argmax(estimate.probabilities) == len(landmarks.ids):
-        return ""
+    if not np.max(estimate.probabilities[:-1]) > estimate.probabilities[-1]:
+        return ""  # of equal ones it is none of these
     return f"ID.{estimate.landmark}?  {number:.2f}"
 
 
@@ -99,11 +100,13 @@ def draw_frame(
     paths: Mapping[int, FloatArray] | None = None,
     truth: Sequence[Mark] = (),
     score: bool = False,
+    marked: int | None = None,
 ) -> ByteImage:
     """The frame with an outline, ID and probability for every estimate: one method's (Figure 13).
 
     image: (fan.rows, fan.columns) uint8. estimates: declared ones in the ID's colour, others thin
     and grey. paths: as `trails` gives them. truth: dashed white. score: in place of probabilities.
+    marked: number of an object whose outline is twice as thick as that of other declared ones.
     Returns (rows, columns, 3) uint8 BGR, both sides a whole factor of the fan's.
     """
     pen = pen_on(image, fan)
@@ -114,7 +117,8 @@ def draw_frame(
         if paths and e.object in paths:
             pen.line(paths[e.object], colour, 1)
         outline = outline_of(e, fan, landmarks)
-        pen.line(outline, colour, 2 if e.declared else 1, closed=True)
+        width = 1 if not e.declared else 4 if e.object == marked else 2
+        pen.line(outline, colour, width, closed=True)
         farthest = AROUND
         if e.declared and e.read and np.isfinite(e.orientation_deg):
             _draw_symbols(pen, e, fan, landmarks, colour)
@@ -152,8 +156,9 @@ def _draw_symbols(
 def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) -> ByteImage:
     """The probability of each ID along every track, up to the newest frame (Figure 14).
 
-    history: one method's results; the last STRIP_FRAMES frames are shown. Lines are thick where an
-    ID is declared; methods that do not follow objects give points.
+    history: one method's results; of more than STRIP_FRAMES frames the last are shown, and the axis
+    begins with the first frame that is shown. Lines are thick where an ID is declared; methods that
+    do not follow objects give points.
     Returns (rows, width, 3) uint8 BGR.
     """
     unit, newest = pixel_unit(width), history[-1]
@@ -174,15 +179,19 @@ def draw_strip(history: Sequence[Moment], landmarks: LandmarkSet, width: int) ->
         pen.lines(np.array([[[left, level], [right, level]]]), (70, 70, 70), 1)
         pen.text(f"{share:g}", (6 * unit, level + 5 * unit), UNNAMED)
     latest = [m for m in history if newest.index - m.index < STRIP_FRAMES]
+    first = latest[0].index
     for moment in latest:
-        if moment.index % _TICK_FRAMES == 0:
-            tick = right - (newest.index - moment.index) * step
+        # A first frame between two ticks has its own one, unless it would cover the next one.
+        if moment.index % _TICK_FRAMES == 0 or (
+            moment.index == first and first % _TICK_FRAMES < _TICK_FRAMES / 2
+        ):
+            tick = left + (moment.index - first) * step
             text = _clock(moment.timestamp_ns, short=True)
             pen.note(text, (tick, bottom + 21 * unit), UNNAMED, centred=True)
             pen.lines(np.array([[[tick, bottom], [tick, bottom + 5 * unit]]]), UNNAMED, 1)
     scale = np.array([step, -(bottom - top)])
     for start, end, landmark, thick in _steps(latest, landmarks):
-        lines = np.stack([start, end], axis=1) * scale + (right, bottom)
+        lines = np.stack([start, end], axis=1) * scale + (left, bottom)
         pen.lines(lines, colours[landmark], 1 + thick)
     return pen.canvas
 
@@ -192,14 +201,20 @@ def _steps(
 ) -> Iterator[tuple[FloatArray, FloatArray, int, bool]]:
     """Steps of the probability of each ID along every track, thin ones first.
 
-    (begin, end, ID, whether it is declared): (n, 2) frames since the newest, and probability.
+    (begin, end, ID, whether it is declared): (n, 2) frames since the first, and probability. Left
+    out are estimates in which all are equal, since nothing was read there.
     """
     # Sorted by track and time, each estimate is joined to the one before it on the same track.
-    rows = [(moment.index, e) for moment in history for e in moment.estimates]
+    rows = [
+        (moment.index, e)
+        for moment in history
+        for e in moment.estimates
+        if np.ptp(e.probabilities) > _EQUAL
+    ]
     rows.sort(key=lambda row: (row[1].object, row[0]))
     if not rows:
         return
-    frame = np.array([index - history[-1].index for index, _ in rows], dtype=float)
+    frame = np.array([index - history[0].index for index, _ in rows], dtype=float)
     track = np.array([e.object if e.followed else -1 for _, e in rows])
     named = np.array([e.landmark if e.declared else None for _, e in rows])
     beliefs = np.array([e.probabilities for _, e in rows])

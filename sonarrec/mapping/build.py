@@ -91,6 +91,21 @@ class SiteMap:
         return float((orientation_deg - 90 * self.ros_axes) % period_deg)
 
 
+class SeveralFramesError(UsageError):
+    """The logs have no poses, so that each has a coordinate frame of its own.
+
+    folders: of the results of those that can be mapped, one by one.
+    """
+
+    def __init__(self, logs: Sequence[str], folders: Sequence[Path], left_out: Sequence[str]):
+        """left_out: a line on each log that cannot be mapped."""
+        super().__init__(
+            f"without poses each log has a coordinate frame of its own ({', '.join(logs)}): give "
+            "poses with --odometry, or map the logs one by one"
+        )
+        self.folders, self.left_out = folders, left_out
+
+
 def make_map(
     results: Sequence[Path],
     odometry: Path | None = None,
@@ -108,7 +123,8 @@ def make_map(
     place of those that they were run with. drift: of the poses. method: of estimates.csv; None:
     `framework` or the only one. landmarks, sonar: in place of those in run.toml. min_frames:
     landmarks declared in fewer, over all passes, are left out.
-    Raises SonarrecError if none of the logs can be used, or if they have no common axes.
+    Raises SonarrecError if none of the logs can be used, SeveralFramesError if they have no common
+    axes.
     """
     if landmarks is not None:
         load_landmarks(landmarks)  # so that a fault is not one of each log
@@ -142,10 +158,7 @@ def make_map(
         raise SonarrecError("\n".join(["no log can be mapped", *diagnostics.problems]))
     alone = list(dict.fromkeys(log.name for log in logs if not log.path.from_poses))
     if alone and len(used) > 1:
-        raise UsageError(
-            f"without poses each log has a coordinate frame of its own ({', '.join(alone)}): give "
-            "poses with --odometry, or map the logs one by one"
-        )
+        raise SeveralFramesError(alone, used, diagnostics.problems)
     diagnostics.note(*outdated(used))
     for source in (*(log.diagnostics for log in logs), copies):
         diagnostics.note(*source.notes)

@@ -8,20 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Polygon, Wedge
 
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import listed, number_of
 from sonarrec.geometry import floor_depth, ground_range
+from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.landmarks import Landmark, MappedLog, ellipse
 from sonarrec.tables.outputs import escape_mathtext, write_figure
 
 LINES = "#333333"
 """Colour of outlines, which set discs off from the floor, whatever the colour of their IDs."""
+PLATE = "#555555"
+"""Colour of what is dark to a sonar."""
 MOST_PARTS = 9  # of a paused log without poses that are drawn, each by itself
+LEAST_PATH_M = 0.05  # extent of a path that its first place's mark does not cover
 MOST_FANS = 150  # fans that are drawn for each log, at most, to show the floor in view
 
 
@@ -52,21 +57,30 @@ def _draw_part(axes: Any, site: SiteMap, logs: Sequence[MappedLog], part: int) -
     for log in logs:
         fans = [site.position(fan) for fan in _floor_seen(log)]
         axes.add_collection(PolyCollection(fans, facecolors="#e9eef2", edgecolors="none", zorder=0))
-    for n, log in enumerate(logs):
-        positions = site.position(log.path.pose[:, 1:])
-        label = "path of the sonar" if n == 0 else None
-        axes.plot(*positions.T, color="#666666", linewidth=1, zorder=1, label=label)
-        start = positions[log.path.known[:1]]
-        label = "its first place" if n == 0 else None
+    paths = [site.position(log.path.pose[:, 1:]) for log in logs]
+    travels = any(
+        np.ptp(path[log.path.known], axis=0).max() > LEAST_PATH_M
+        for path, log in zip(paths, logs, strict=True)
+    )
+    for n, (path, log) in enumerate(zip(paths, logs, strict=True)):
+        if travels:
+            label = "path of the sonar" if n == 0 else None
+            axes.plot(*path.T, color="#666666", linewidth=1, zorder=1, label=label)
+        start = path[log.path.known[:1]]
+        label = ("first place of the sonar" if travels else "the sonar") if n == 0 else None
         axes.plot(*start.T, "o", color="#666666", markersize=5, zorder=1, label=label)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    for number, landmark in enumerate(site.landmarks, 1):
-        if site.path_of(landmark.members[0]) == part:
-            _draw_landmark(axes, site, landmark, number)
+    of_part = [
+        (number, landmark)
+        for number, landmark in enumerate(site.landmarks, 1)
+        if site.path_of(landmark.members[0]) == part
+    ]
+    for number, landmark in of_part:
+        _draw_landmark(axes, site, landmark, number)
     axes.autoscale_view()
-    axes.plot([], [], color=LINES, linewidth=1.2, label="95 % ellipses")
-    axes.plot([], [], color=LINES, linewidth=2, label="where the first sector begins")
+    if of_part:
+        axes.plot([], [], color=LINES, linewidth=1.2, label="95 % ellipses")
     axes.set_xlabel("x, m: ahead at yaw 0" if site.ros_axes else "x, m: to the right at yaw 0")
     axes.set_ylabel("y, m: to the left at yaw 0" if site.ros_axes else "y, m: ahead at yaw 0")
     axes.grid(color="white", linewidth=0.8, zorder=0)
@@ -81,23 +95,21 @@ def _title(site: SiteMap) -> str:
 
 
 def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) -> None:
-    """Draw a disc in its ID's colour, a mark where its first sector begins, and its ellipse."""
-    radius = site.landmark_set.radius_m
-    colour = tuple(np.array(landmark_colours(site.landmark_set.ids)[landmark.id]) / 255)
+    """Draw a landmark in its ID's colour as it lies, its symbol where that is known, and its
+    ellipse."""
+    radius, ids = site.landmark_set.radius_m, site.landmark_set.ids
+    colour = tuple(np.array(landmark_colours(ids)[landmark.id]) / 255)
     position = site.position(landmark.position)
-    angle = np.linspace(0, 2 * np.pi, 49)
-    disc = position + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    axes.fill(*disc.T, facecolor=colour, alpha=0.7, edgecolor=LINES, zorder=2)
+    rotation_deg = landmark.orientation_deg - 90 * site.ros_axes
+    dark, lit = _drawing(site.landmark_set, ids.index(landmark.id), position, rotation_deg)
+    for parts, inside in ((dark, PLATE), (lit, colour)):
+        axes.add_collection(PatchCollection(parts, facecolors=[inside], linewidths=0, zorder=2))
     axes.plot(
         *ellipse(position, site.covariance(landmark.covariance)).T,
         color=LINES,
         linewidth=1.2,
         zorder=3,
     )
-    if not math.isnan(landmark.orientation_deg):
-        sector = math.radians(landmark.orientation_deg - 90 * site.ros_axes)
-        tip = position + radius * np.array([math.cos(sector), math.sin(sector)])
-        axes.plot(*np.array([position, tip]).T, color=LINES, linewidth=2, zorder=3)
     axes.annotate(
         f"ID.{landmark.id}  ({number})",
         tuple((position + 0.75 * radius).tolist()),
@@ -107,6 +119,47 @@ def _draw_landmark(axes: Any, site: SiteMap, landmark: Landmark, number: int) ->
         color="black",
         zorder=4,
     )
+
+
+def _drawing(
+    landmarks: LandmarkSet, k: int, position: FloatArray, rotation_deg: float
+) -> tuple[list[Patch], list[Patch]]:
+    """The k-th landmark as it lies: what is dark to a sonar, and what is bright.
+
+    rotation_deg: counter-clockwise from the x axis; NaN: not known, then no symbol is drawn.
+    """
+    radius, known = landmarks.radius_m, not math.isnan(rotation_deg)
+    if isinstance(landmarks, DrawnSet):
+        drawing = landmarks.drawings()[k]
+        side, angle = 2 * radius / len(drawing), math.radians(rotation_deg if known else 0)
+        rotate = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        square = np.array([[0, 0], [1, 0], [1, -1], [0, -1]])
+
+        def cell(row: float, column: float, size: float) -> Patch:
+            corners = np.array([column * side - radius, radius - row * side]) + size * square
+            return Polygon(position + corners @ rotate)
+
+        plate = [cell(0, 0, 2 * radius)]
+        if not known:
+            return [], plate
+        return plate, [cell(row, column, side) for row, column in np.argwhere(drawing).tolist()]
+    x, y = position.tolist()
+    (inner, outer), sectors = landmarks.symbol, landmarks.sectors[k]
+    step = 360 / len(sectors)
+    lit = [
+        Wedge(
+            (x, y),
+            radius * landmarks.ring[1],
+            0,
+            360,
+            width=radius * (landmarks.ring[1] - landmarks.ring[0]),
+        )
+    ]
+    for n in np.flatnonzero(sectors).tolist() if known else ():
+        first = rotation_deg + n * step
+        width = radius * (outer - inner)
+        lit.append(Wedge((x, y), radius * outer, first, first + step, width=width))
+    return [Wedge((x, y), radius, 0, 360)], list(lit)
 
 
 def _floor_seen(log: MappedLog) -> FloatArray:

@@ -53,7 +53,15 @@ from sonarrec.results.run_file import (
 )
 from sonarrec.runs.recorded import recorded_at
 from sonarrec.sonar import Sonar, sonar_from
-from sonarrec.tables.outputs import VIDEO_MARK, Kind, check_folder, check_output, replaced, writing
+from sonarrec.tables.outputs import (
+    VIDEO_MARK,
+    Kind,
+    check_distinct,
+    check_folder,
+    check_output,
+    replaced,
+    writing,
+)
 from sonarrec.truth.check import misfit, without_rows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
@@ -135,7 +143,8 @@ def overlay(
     path, out = source.path, Path(refuse_url(out))
     truth_file = None if ground_truth is None else Path(refuse_url(ground_truth))
     kind = KINDS.get(out.suffix.lower(), "picture")
-    if kind == "picture" and out.is_dir():
+    if kind == "picture":
+        check_distinct(out)
         check_output(out / "000000.png", kind, [path])
         check_folder(out, [])
     else:

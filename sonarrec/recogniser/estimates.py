@@ -42,6 +42,8 @@ class Estimates:
 
     def __init__(self, config: Config, plane: Plane, landmarks: LandmarkSet) -> None:
         self._config, self._plane, self._ids = config, plane, landmarks.ids
+        self.declare = config.features.declare
+        """Least score at which the framework declares an ID."""
 
     def of_tracks(self, method: str, frames: Sequence[Table], beliefs: Beliefs) -> list[Estimate]:
         """The framework's estimates of the tracks of some frames, n in all.
@@ -55,8 +57,7 @@ class Estimates:
             won = np.concatenate([wins(p) for p in np.split(beliefs.probabilities, ends)])
             scores = np.where(won, scores, 0.0)
             beliefs = replace(beliefs, enough_evidence=beliefs.enough_evidence & won)
-        least = self._config.features.declare
-        return self._estimates(method, stacked(frames), beliefs, scores, least)
+        return self._estimates(method, stacked(frames), beliefs, scores, self.declare)
 
     def of_candidates(
         self,

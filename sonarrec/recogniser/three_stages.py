@@ -90,6 +90,9 @@ class ThreeStages(ABC):
         self.odometry.begin_stretch()
         self._tracks.keep(np.zeros(len(self._tracks), bool))
 
+    def judge_alone(self) -> None:  # noqa: B027
+        """Let stage 3 declare IDs in the only frame of a log, where it can: plates need two."""
+
     def step(self, frame: Frame) -> FrameResult:
         """The three stages over one frame, which must be the log's next."""
         if self._stretch not in (None, frame.stretch):
@@ -198,11 +201,17 @@ class DiscStages(ThreeStages):
                 beam_width_deg,
             )
         self._estimates = Estimates(config, plane, landmarks)
+        self._declare_alone = features.declare_alone
 
     def begin_stretch(self) -> None:
         super().begin_stretch()
         if isinstance(self._measurement, PublishedMeasurement):
             self._measurement.begin_stretch()
+
+    def judge_alone(self) -> None:
+        if isinstance(self._measurement, AppearanceMeasurement):  # the published needs no other
+            self._measurement.least_frames = 1
+            self._estimates.declare = self._declare_alone
 
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         # How did the sonar move since the frame before?

@@ -25,7 +25,7 @@ from sonarrec.reports.logs import (
     judged_sightings,
     read_logs,
 )
-from sonarrec.reports.overview import SharedMistake, all_logs, shared, worst_first
+from sonarrec.reports.overview import NO_TRUTH, SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
 from sonarrec.results.identity import outdated
 from sonarrec.results.read import find_logs, why_incomplete
@@ -144,7 +144,7 @@ def _evaluate(
         except SonarrecError as error:  # such as one for several logs that names none of them
             diagnostics.problem(f"{error}; nothing is scored")
             return None
-        left_out |= dict.fromkeys({*folders} - {pair.results for pair in pairs}, "no ground truth")
+        left_out |= dict.fromkeys({*folders} - {pair.results for pair in pairs}, NO_TRUTH)
         evaluation = evaluate_logs(pairs, None, options, of_results)
     else:
         evaluation = evaluate_logs(results, truth_file, options, of_results)
@@ -183,9 +183,11 @@ def _of_one_set(
 
 
 def _mistakes(evaluation: Evaluation, first: str) -> dict[str, list[SharedMistake]]:
-    """The mistakes of each method. first: the method that comes first."""
+    """The mistakes of each method, of several logs those of the first alone."""
     logs = len(evaluation.folders)
     methods = sorted(evaluation.counts.methods, key=lambda method: method != first)
+    if logs > 1:  # of many logs those of the others would be most of the page
+        methods = [first]
     return {method: shared(evaluation.counts.mistakes, method, logs) for method in methods}
 
 
@@ -272,4 +274,5 @@ def _of_sightings(passes: Sequence[JudgedSighting]) -> Iterator[Picture]:
             group="surest" if is_best else "rarest",
             caption=f"{caption}.",
             wrong=f"False claim: {s.wrong}." if s.wrong else "",
+            marked=int(s.log.results.object[s.surest]),
         )

@@ -58,6 +58,8 @@ class Picture:
     caption: str
     wrong: str = ""
     """Its mistake in words; then the truth is drawn too."""
+    marked: int | None = None
+    """Number of the object that it is about, whose outline is thick."""
     source: str = ""
     """Once drawn: a data URI. Also the next two are empty before."""
     size: tuple[int, int] = (0, 0)
@@ -235,7 +237,7 @@ def _draw(
     """Draw a picture. said: the estimates of its method."""
     truth = truth if picture.wrong else ()
     view = frame.image, frame.fan, log.results.landmarks
-    drawn = draw_frame(*view, said, truth=truth, score=True)
+    drawn = draw_frame(*view, said, truth=truth, score=True, marked=picture.marked)
     image = _reduced(drawn, PICTURE_PX)
     parts = [f"{e.method} declares ID.{e.landmark} ({e.score:.2f})" for e in said if e.declared]
     parts += [f"truth holds ID.{mark.landmark}" for mark in truth]

@@ -10,16 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.errors import SonarrecError
+from sonarrec.errors import SonarrecError, number_of
 from sonarrec.evaluation.counts import TOTAL, Counts
 from sonarrec.evaluation.mistakes import Mistake
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.reports.screen import OperatingPoint, protocols, rates_per_log
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import csv_rows, read_run
-from sonarrec.runs.logs_table import NAME, Row, read_logs
+from sonarrec.runs.logs_table import NAME, USABLE, Row, read_logs
 
 Points = Sequence[OperatingPoint]
+NO_TRUTH = "no ground truth"
+"""The note of a log that has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,36 @@ def all_logs(
             note = left_out.get(folder, "not scored" if evaluation else "")
             rows.append(row(folder, _frames(folder), note=note))
     return rows
+
+
+def headline(rows: Sequence[LogRow], evaluation: Evaluation | None) -> str:
+    """A line on all logs: how many are scored, the rates of the first method, and what is wrong.
+
+    rows: as of `all_logs`.
+    """
+    failed = sum(row.folder is None or row.state not in USABLE for row in rows)
+    others = [row for row in rows if row.folder is not None and not row.points]
+    without = sum(row.note == NO_TRUTH for row in others)
+    parts = {
+        "failed": failed,
+        "partial": sum(row.state == "partial" for row in rows),
+        "without ground truth": without,
+        "not scored for another reason": sum(row.state in USABLE for row in others) - without,
+    }
+    if evaluation is None:
+        line = f"{number_of(len(rows), 'log')}, none scored"
+        parts = {name: parts[name] for name in ("failed", "partial")}
+    else:
+        counts = evaluation.counts
+        method, frames = counts.methods[0], sum(log.frames for log in counts.counted)
+        count = counts.count(method, protocols(counts)[0])
+        false = 100 * count.fp / frames if frames else 0.0
+        line = (
+            f"{len(evaluation.folders)} of {number_of(len(rows), 'log')} scored: {method} has TPR "
+            f"{count.tpr:.3f}, FPR {count.fpr:.4f}, {false:.2g} false claims in 100 frames"
+        )
+    wrong = ", ".join(f"{n} {what}" for what, n in parts.items() if n)
+    return f"{line}; {wrong}" if wrong else line
 
 
 def worst_first(counts: Counts) -> list[int]:

@@ -31,7 +31,7 @@ from sonarrec.reports.logs import (
     tracks,
     true_landmark,
 )
-from sonarrec.reports.overview import LogRow, SharedMistake
+from sonarrec.reports.overview import LogRow, SharedMistake, headline
 from sonarrec.reports.template import fill
 from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import Sighting
@@ -105,6 +105,7 @@ def render(
         time_of_day=time_text,
         version=VERSION,
         title=f"{len(rows)} logs" if len(rows) > len(logs) else names,
+        headline=headline(rows, evaluation) if several else "",
         contents=contents,
         several=several,
         rows=rows[:MOST_ROWS],

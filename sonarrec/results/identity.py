@@ -15,7 +15,7 @@ from sonarrec.records import VERSION
 from sonarrec.results.folders import is_file
 from sonarrec.tables.toml import read_toml
 
-RESULTS_VERSION = 3
+RESULTS_VERSION = 4
 """Kept by hand: one more with every change after which a log may give other tables, be it in how
 logs are read or in how landmarks are recognised. Code that only moves leaves it as it is.
 tests/results/test_identity.py asks for it when the tables on record change."""
@@ -62,6 +62,8 @@ def why_outdated(run: Mapping[str, Any]) -> str:
     if (number := program.get("results_version")) != RESULTS_VERSION:
         numbers = f"results_version {'none' if number is None else number}, now {RESULTS_VERSION}"
         return f"made by another version of the program ({numbers})"
+    if ".dev" in (version := str(program.get("version", ""))):  # its number may not be final
+        return f"made by a version in development ({version})"
     if program.get("model_sha256") != now["model_sha256"]:
         return "made with another built-in model"
     if program.get("settings_sha256") != now["settings_sha256"]:

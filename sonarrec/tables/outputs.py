@@ -69,7 +69,7 @@ def check_output(
         if _same(path, source) or _same(path, log):
             raise UsageError(f"{path}: this command reads it; write somewhere else")
     if kind in ("picture", "overlay", "video"):
-        check_distinct(path)
+        check_distinct(path, is_image=kind == "picture")
     if not path.exists():
         above = next(parent for parent in path.parents if parent.exists())
         if not above.is_dir():
@@ -120,11 +120,12 @@ def below(results: Path, name: str) -> Path:
     return path
 
 
-def check_distinct(path: Path) -> None:
+def check_distinct(path: Path, *, is_image: bool = False) -> None:
     """Raise UsageError if an image, a video or an MCAP would become a part of a recording.
 
     A folder is one if it holds images of others and a sonar.toml, or several whose names differ
-    in numbers alone; and the folder of a bag is one.
+    in numbers alone; and the folder of a bag is one. is_image: only an image would become a part
+    of such images without a sonar.toml.
     """
     folder, forms = path.parent, Counter[str]()
     is_stated = (folder / "sonar.toml").exists()
@@ -132,10 +133,14 @@ def check_distinct(path: Path) -> None:
     with writing(folder):
         for image in () if is_recording else _images_of_others(folder):
             forms[form := re.sub("[0-9]+", "#", image.name)] += 1
-            if is_recording := is_stated or forms[form] == _SEVERAL:
+            if is_recording := is_stated or (is_image and forms[form] == _SEVERAL):
                 break
     if is_recording:
-        raise UsageError(f"{path}: it would become part of the recording; write somewhere else")
+        parts = "a bag" if not forms else f"images such as {image.name}"
+        raise UsageError(
+            f"{path}: {folder.resolve()} holds {parts}, of which it would become a part; write "
+            "into another folder"
+        )
 
 
 def check_folder(folder: Path, ours: Collection[str]) -> None:

@@ -110,6 +110,7 @@ def test_truth_is_drawn_around_the_estimate() -> None:
         (estimate(0, 0, 3, p=0.97), "ID.3  0.97"),
         (estimate(0, 0, 3, p=0.6, declared=False), "ID.3?  0.60"),
         (estimate(0, 0, 3, p=0.1, declared=False), ""),
+        (estimate(0, 0, 3, p=0.5, declared=False), ""),  # as likely as none of these
     ],
 )
 def test_caption(given: Estimate, text: str) -> None:
@@ -153,6 +154,28 @@ def test_strip_has_probability_upwards_and_time_to_the_right() -> None:
     assert middle(0.5, 30)[1] == pytest.approx(wide * 29 / 59, abs=4)
     # What is older than the strip has left it.
     assert middle(0.5, STRIP_FRAMES)[1] == pytest.approx(middle(0.5, 3 * STRIP_FRAMES)[1], abs=5)
+
+
+def test_strip_begins_with_the_first_frame_and_leaves_out_what_was_not_read() -> None:
+    unread = replace(estimate(0, 0), probabilities=np.full(5, 0.2), declared=False)
+    colour = landmark_colours(BASIN.ids)[3]
+
+    def drawn(*estimates: Estimate) -> np.ndarray:
+        history = [Moment(n, n, estimates) for n in range(100, 130)]
+        return painted(draw_strip(history, BASIN, 512)[22:], colour)
+
+    assert drawn(estimate(0, 0, 3))[:, 0].min() < 40
+    assert not len(drawn(unread))
+
+
+def test_the_marked_object_has_a_thick_outline() -> None:
+    image, found = np.zeros((FAN.rows, FAN.columns), np.uint8), estimate(*at(FAN, 2.4, 4.0), 3)
+    colour, inked = landmark_colours(BASIN.ids)[3], []
+    for marked in (None, found.object, found.object + 1):
+        picture = draw_frame(image, FAN, BASIN, [found], marked=marked)
+        inked.append(len(painted(picture, colour)))
+    assert inked[1] > 1.5 * inked[0]
+    assert inked[2] == inked[0]
 
 
 def test_the_symbol_that_was_read_is_drawn_where_it_lies() -> None:

@@ -10,11 +10,11 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from mcap.writer import Writer
 
 from sonarrec.arrays import FloatArray
@@ -386,7 +386,13 @@ def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) ->
     assert "2 times" not in sonarrec("map", folder, folder, code=3).stderr  # it is one
     other = results(tmp_path / "other", path, None)
     measured(other, path, sigma)
-    told = sonarrec("map", folder, other, "-o", tmp_path / "both", code=2)
+    # With another log each has a map of its own, where it would be if it were mapped alone.
+    told = sonarrec("map", tmp_path, code=3)  # since frames.csv was written anew
+    assert told.stdout.count("1 log") == 2
+    assert len(read_rows(other / "map" / "map.csv")) == 3
+    sonarrec("map", folder, other, "-o", tmp_path / "both", code=3)
+    assert {path.name for path in (tmp_path / "both").iterdir()} == {folder.name, "other"}
+    told = sonarrec("map", folder, other, "-o", tmp_path / "c", "--origin", "54,10,0", code=2)
     assert "without poses each log has a coordinate frame of its own" in told.stderr
 
 
@@ -457,15 +463,26 @@ def test_the_picture_shows_what_was_found_in_the_colours_of_the_ids(
 ) -> None:
     import cv2
 
-    filled: list[Any] = []
-    fill = Axes.fill
+    added: list[PatchCollection] = []
+    add = Axes.add_collection
     monkeypatch.setattr(
-        Axes, "fill", lambda *a, **k: filled.append(k["facecolor"]) or fill(*a, **k)
+        Axes, "add_collection", lambda axes, *a, **k: added.append(a[0]) or add(axes, *a, **k)
     )
     folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
     sonarrec("map", folder)
-    colours = landmark_colours(BASIN.ids)
-    assert [tuple(round(255 * c) for c in one) for one in filled] == [colours[d.id] for d in SITE]
+    lit = [one for one in added if isinstance(one, PatchCollection)][1::2]
+    inks = [tuple(np.round(255 * one.get_facecolor()[0, :3]).astype(int).tolist()) for one in lit]
+    assert inks == [landmark_colours(BASIN.ids)[disc.id] for disc in SITE]
+    # What is lit of each, halfway out, is what its ID says at its orientation.
+    for disc, row, patches in zip(SITE, read_rows(folder / "map" / "map.csv"), lit, strict=True):
+        angle = np.radians(np.arange(2.5, 360, 5))
+        paths = patches.get_paths()
+        code = BASIN.codes(angle - math.radians(float(row["orientation_deg"])))
+        place = np.array([float(row["x_m"]), float(row["y_m"])])
+        points = place + 0.4 * BASIN.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        shown = np.any([path.contains_points(points) for path in paths], axis=0)
+        expected = code[BASIN.ids.index(disc.id)] > 0.5
+        assert np.mean(shown == expected) > 0.94  # but at the edges of sectors
     picture = cv2.imread(str(folder / "map" / "map.png"))
     assert picture is not None
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20

@@ -40,6 +40,25 @@ def table(path: Path, *arguments: str, code: int = 0) -> dict[str, Any]:
     return tables[0]
 
 
+def test_several_logs_are_a_row_each(tmp_path: Path) -> None:
+    """What is cut, lacks its geometry or cannot be read is marked in its row."""
+    logs = [mcap_file(tmp_path / name / f"{name}.mcap", MESSAGES) for name in ("good", "cut")]
+    logs.append(without_geometry(mcap_file(tmp_path / "bare" / "bare.mcap", MESSAGES)))
+    data = logs[1].read_bytes()
+    logs[1].write_bytes(data[: len(data) * 2 // 3])
+    (noise := tmp_path / "noise.mcap").write_bytes(np.random.default_rng(0).bytes(3000))
+    done = info(*logs, noise)
+    assert done.exit_code == 3
+    head, *rows = done.stdout.splitlines()
+    assert head.split() == ["log", "frames", "span", "geometry", "state"]
+    told = {Path(row.split()[0]).stem: row for row in rows}
+    assert set(told) == {"good", "cut", "bare", "noise"}
+    assert "20" in told["good"].split()
+    assert "lacks range_min_m" in told["bare"]
+    assert "cut" in told["cut"].replace(str(logs[1]), "")
+    assert "cannot be read" in told["noise"]
+
+
 def without_geometry(path: Path) -> Path:
     (path.parent / "sonar.toml").unlink()
     return path

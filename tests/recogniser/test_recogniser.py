@@ -239,6 +239,24 @@ def side_by_side(log: Sequence[Frame], *presets: str) -> list[FrameResult]:
     return list(recognise_together.recognise(log))
 
 
+def test_the_only_frame_of_a_log_is_judged_by_a_threshold_of_its_own() -> None:
+    """With a second frame the first is judged as ever: nothing is declared in it."""
+    log = still_log(1, 2)
+
+    def declared(frames: int, **features: float) -> list[list[int]]:
+        default = config.preset("default")
+        changed = dataclasses.replace(default.features, **features)
+        settings = dataclasses.replace(default, features=changed)
+        found = SideBySide([settings], log[0].fan, BASIN).recognise(log[:frames])
+        return [[e.landmark for e in one.estimates if e.declared and e.method == FRAMEWORK]
+                for one in found]  # fmt: skip
+
+    assert declared(1) == [[1]]
+    assert declared(1, declare_alone=1.0) == [[]]
+    assert declared(2)[0] == []
+    assert declared(2, declare_alone=0.0) == declared(2)
+
+
 def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
     """The frames, each put down in `drawn` as it is asked for."""
     for frame in log:

@@ -46,6 +46,8 @@ def test_one_of_two_lacks_truth(tmp_path: Path) -> None:
     assert "dive02: no ground truth" in told.stderr
     page = Page(out / "report.html")
     assert "2 recorded sonar logs, 1 of them scored against gt.csv" in page.text
+    assert "1 of 2 logs scored" in page.text
+    assert "1 without ground truth" in page.text
     scored, other, note = page.named["All logs"][2:]
     assert scored[0] == "dive01"
     assert float(scored[3]) > 0.5

@@ -61,6 +61,21 @@ def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) ->
     return root / "out"
 
 
+def test_the_page_of_many_logs_begins_with_a_line_on_all(tmp_path: Path) -> None:
+    """Its rates are those of `evaluate`; mistakes are those of the first method alone."""
+    absent, single = "30,framework,1,2.0,0,2,.8,1", "31,smi,0,2.0,0,3,.8,1"
+    logs = {"a": [PLACED, *RIGHT, absent, single], "b": [PLACED, *RIGHT]}
+    out = plain_logs(tmp_path, logs, [f"{log},{n},1,2.0,0" for log in logs for n in range(10, 30)])
+    report(out, page := tmp_path / "page.html", ground_truth=tmp_path / "gt.csv")
+    text = page.read_text(encoding="utf-8")
+    line = text[text.index('class="headline"') :].partition("</p>")[0]
+    assert "2 of 2 logs scored" in line
+    assert "TPR 0.500" in line
+    assert "1.2 false claims in 100 frames" in line  # one in 80
+    assert "<h3>framework" in section(text, "mistakes")
+    assert "<h3>smi" not in section(text, "mistakes")
+
+
 def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     """The last log lacks positions, so that protocol paper alone is scored; it has no panel, and
     of those that have, a claim of ID.1 three metres off is no mistake in it."""

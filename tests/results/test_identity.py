@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.readers import open_log
+from sonarrec.records import VERSION
 from sonarrec.results import identity
 from sonarrec.results.identity import RESULTS_VERSION
 from sonarrec.results.run_file import read_run
@@ -19,7 +20,7 @@ from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 
 SAMPLES = SAMPLE.parent
-RECORDED = (3, "d6f157943c6362c1d8dde0c5094b92206e512f35682a8a68a8771bc384eaff35")
+RECORDED = (4, "d6f157943c6362c1d8dde0c5094b92206e512f35682a8a68a8771bc384eaff35")
 """RESULTS_VERSION when the tables on record last changed, and their digest."""
 
 
@@ -79,6 +80,13 @@ def test_another_model_and_edited_settings_are_told(results: Path, key: str) -> 
     file.write_text("\n".join(f"{key} = 7" if x.startswith(f"{key} =") else x for x in lines))
     (line,) = identity.outdated([results, results])
     assert "1 more" in line
+
+
+def test_results_of_a_version_in_development_are_outdated(results: Path) -> None:
+    assert identity.outdated([results]) == []
+    text = (results / "run.toml").read_text()
+    (results / "run.toml").write_text(text.replace(f'"{VERSION}"', f'"{VERSION}.dev0"'))
+    assert len(identity.outdated([results])) == 1
 
 
 def test_results_of_another_program_are_not_outdated(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ class SideBySide:
         """
         cv2.ipp.setUseIPP(False)  # as in the package: each thread has its own switch
         broken: list[BaseException] = []
-        unbroken = _until_broken(frames, broken)
+        unbroken, count = _until_broken(frames, broken), 0
         for frame in self._levels.restored(self._unchanging.filled(unbroken)):
             if self._stretch not in (None, frame.stretch):
                 yield from self.waiting()
@@ -143,8 +143,12 @@ class SideBySide:
                     stages.begin_stretch()
             self._stretch = frame.stretch
             self._tracked.append(self._track(frame))
+            count += 1
             if len(self._tracked) == FRAMES_AT_ONCE:
                 yield from self._after_stage3()
+        if count == 1 and not broken:
+            for stages in self._stages:
+                stages.judge_alone()
         yield from self.waiting()
         if broken:
             raise broken[0]

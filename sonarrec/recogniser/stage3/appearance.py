@@ -83,6 +83,9 @@ class AppearanceMeasurement:
     object.
     """
 
+    least_frames: int = LEAST_FRAMES
+    """Of a track, before it is judged."""
+
     def __init__(
         self,
         config: Features,
@@ -158,7 +161,7 @@ class AppearanceMeasurement:
         smear = self._smear(tracks["position"])
         existence, seen_in = tracks["existence"], tracks["frames"]
         # Judge the tracks that are likely to be objects; of the others nothing is known.
-        likely = (seen_in >= LEAST_FRAMES) & (existence >= LEAST_EXISTENCE)
+        likely = (seen_in >= self.least_frames) & (existence >= LEAST_EXISTENCE)
         due = np.flatnonzero(likely | self._read.every_frame)
         reading = self._read(
             Pictures(tracks["brightness"][due], tracks["count"][due], existence[due], smear[due])
@@ -173,7 +176,8 @@ class AppearanceMeasurement:
         best, _ = likeliest(probabilities)
         # A beam is HALF_POWER sigmas wide, a disc two radii.
         few_beams = smear * HALF_POWER * FEW_BEAMS > 2
-        enough_evidence = seen_in >= np.where(few_beams, FRAMES_OF_FEW_BEAMS, LEAST_FRAMES)
+        least_frames = np.where(few_beams, FRAMES_OF_FEW_BEAMS, self.least_frames)
+        enough_evidence = seen_in >= least_frames
         return Beliefs(
             probabilities,
             rotation[np.arange(n), best],
