@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,6 +171,10 @@ def test_rows_that_teach_nothing_are_told(tmp_path):
     assert "1 of " in told.stderr
     assert "rows name logs that were not given (elsewhere); they teach nothing" in told.stderr
     assert "of pan" in told.stdout
+    seen = {row["landmark"] for row in rows}
+    unseen = [f"ID.{k}" for k in BASIN.ids if str(k) not in seen]
+    never = [line for line in told.stderr.splitlines() if "never seen" in line]
+    assert [re.findall(r"ID\.\d", line) for line in never] == ([unseen] if unseen else [])
 
 
 @pytest.mark.slow

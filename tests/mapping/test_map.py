@@ -29,6 +29,7 @@ from sonarrec.mapping.landmarks import (
     ellipse,
 )
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
+from sonarrec.mapping.picture import draw_map
 from sonarrec.readers.poses import read_poses
 from sonarrec.records import Estimate, FrameResult
 from sonarrec.results.run_file import run_table
@@ -448,6 +449,22 @@ def test_an_ellipse_holds_what_it_says() -> None:
     drawn = np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20_000)
     inside = np.einsum("ni,ij,nj->n", drawn, np.linalg.inv(covariance), drawn) < CHI2_95
     assert inside.mean() == pytest.approx(0.95, abs=0.006)
+
+
+def test_the_picture_has_the_path_in_the_colours_of_the_ids_where_it_was(
+    mapped: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: dict[str, np.ndarray] = {}
+    plot = Axes.plot
+
+    def kept(axes: Axes, x: Any, y: Any, *rest: Any, **more: Any) -> Any:
+        drawn[more.get("label") or "other"] = np.column_stack([x, y])
+        return plot(axes, x, y, *rest, **more)
+
+    monkeypatch.setattr(Axes, "plot", kept)
+    draw_map(mapped / "map.png", make_map([mapped.parent]))
+    np.testing.assert_allclose(drawn["path of the sonar"], there_and_back()[:, 1:], atol=1e-6)
+    np.testing.assert_allclose(drawn["its first place"], [there_and_back()[0, 1:]], atol=1e-6)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import many
 from sonarrec.runs.job import Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
+from tests.studies.bench import peak_mb
 from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
 from tests.support.camp import make_camp
-from tests.support.command import sonarrec
+from tests.support.command import sample_log, sonarrec
 
 
 @pytest.mark.slow
@@ -298,3 +300,25 @@ def test_equal_lines_are_one_and_failures_come_again_at_the_end(tmp_path: Path) 
     counted = next(n for n, line in enumerate(lines) if "4 done, 1 failed" in line)
     assert reason[0] < counted < reason[1]
     assert len(reason) == 2
+
+
+def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
+    logs = made(tmp_path, "a", "b", frames=6)
+    for jobs in "12":
+        sonarrec("run", *logs, "--jobs", jobs, "-o", tmp_path / jobs)
+    files = [path.relative_to(tmp_path / "1") for path in sorted((tmp_path / "1").glob("*/*.csv"))]
+    assert len(files) == 6
+    for file in files:
+        assert (tmp_path / "2" / file).read_bytes() == (tmp_path / "1" / file).read_bytes()
+
+
+@pytest.mark.slow
+def test_memory_of_a_run_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    peaks = []
+    for frames in (1000, 4000):
+        log = sample_log(tmp_path / str(frames), 0)
+        for n in range(frames):
+            (log / f"{n:06d}.png").symlink_to(SAMPLE / f"{n % 128:06d}.png")
+        run = ["-m", "sonarrec", "run", str(log), "-q", "-o", str(tmp_path / "out")]
+        peaks.append(peak_mb([sys.executable, *run]))
+    assert peaks[1] < 1.05 * peaks[0]
