@@ -214,7 +214,7 @@ def test_pings_that_cannot_be_used(name: str, change: dict[str, Any], says: str)
 
 @pytest.mark.parametrize("name", messages.FIELDS)
 @pytest.mark.parametrize("wire", ["cdr", "ros1", "json"])
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(data=st.data())
 def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject) -> None:
     """Whatever the bytes, a decoder gives a ping or says that it cannot be used."""

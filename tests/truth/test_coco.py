@@ -99,7 +99,7 @@ row = st.fixed_dictionaries(
 
 
 @settings(
-    max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @pytest.mark.parametrize("name", LOGS)
 @given(st.lists(row, min_size=1, max_size=8, unique_by=lambda r: r["range_m"]))
