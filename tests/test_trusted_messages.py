@@ -408,7 +408,9 @@ def _set(path: str) -> LandmarkSet:
 
 def test_run_tells_it_with_the_radius_that_fits(here: Path) -> None:
     Path("own.toml").write_text(SET.format(radius=0.075))
-    told = sonarrec("run", SAMPLES / "pan.mcap", "--landmarks", "own.toml", "-q").stderr
+    told = sonarrec(
+        "run", SAMPLES / "pan.mcap", "--landmarks", "own.toml", "--frames", ":60", "-q"
+    ).stderr
     found = re.search(r"rings of about (\S+) m radius fit clearly better .* own, 0.075 m", told)
     assert found is not None
     assert float(found[1]) == pytest.approx(0.15, rel=0.15)
