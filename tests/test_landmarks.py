@@ -77,10 +77,7 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
         ({"landmark": [{"id": 1, "sectors": [0, 2]}]}, "sectors must be"),
         ({"landmark": [{"id": [1], "sectors": [0, 1]}]}, "a whole number"),
         ({"landmark": [{"id": 1, "sectors": [1, 0], "colour": 3}]}, "colour"),
-        (
-            {"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 1, "sectors": [1, 1]}]},
-            "of its own",
-        ),
+        ({"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 1, "sectors": [1, 1]}]}, "of its own"),
         (
             {"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2, "sectors": [1, 1, 0]}]},
             "equally many",

@@ -194,11 +194,7 @@ def test_geometry_by_flags_alone(pings: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "word"),
-    [
-        (("--range-min-m", "4"), "range_min_m"),
-        (("--height-m", "9"), "height_m"),
-    ],
+    ("flags", "word"), [(("--range-min-m", "4"), "range_min_m"), (("--height-m", "9"), "height_m")]
 )
 def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) -> None:
     """A flag that cannot be meant is named; it may be the file's value that it contradicts."""

@@ -86,10 +86,7 @@ FAULTS = {  # and the exit code: `sonarrec help run`
         overlay LOG OUT -o /proc/x.mp4 | simulate --frames 2 -o /proc/x
         truth propose OUT -o /proc/x.csv | calibrate LOG --ground-truth GT -o /proc/x.toml
         info LOG --write-sonar /proc/x.toml""",
-    (
-        "a part that cannot be used",
-        3,
-    ): """run PARTLY -o o | info PARTLY | overlay PARTLY o -o o.mp4
+    ("a part that cannot be used", 3): """run PARTLY -o o | info PARTLY | overlay PARTLY o -o o.mp4
         evaluate OUT --ground-truth MORE | calibrate PARTLY --ground-truth GT -o m.toml""",
 }
 

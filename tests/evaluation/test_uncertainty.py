@@ -18,12 +18,7 @@ from sonarrec.evaluation.figures import (
     rates,
     summarise,
 )
-from sonarrec.evaluation.uncertainty import (
-    bootstrap_weights,
-    coin_tosses,
-    interval,
-    rate_interval,
-)
+from sonarrec.evaluation.uncertainty import bootstrap_weights, coin_tosses, interval, rate_interval
 from tests.support.claims import counts, matched
 
 LABELS = ("strict", "m", "total")

@@ -24,10 +24,7 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.landmarks import (
-    CHI2_95,
-    ellipse,
-)
+from sonarrec.mapping.landmarks import CHI2_95, ellipse
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
 from sonarrec.mapping.picture import draw_map
 from sonarrec.readers.poses import read_poses

@@ -25,13 +25,7 @@ from sonarrec.readers.containers.ddf_headers import (
 from sonarrec.records import Frame
 from tests.support.command import sonarrec
 from tests.support.logs import frames
-from tests.support.sonar_files import (
-    PERIOD_US,
-    START_US,
-    aris_file,
-    as_pings_came,
-    didson_file,
-)
+from tests.support.sonar_files import PERIOD_US, START_US, aris_file, as_pings_came, didson_file
 
 SAMPLE = Path(__file__).parent / "aris_sample" / "sample.aris"
 SDK = Path(__file__).parents[3] / "shared" / "data" / "vendor" / "aris-sdk"

@@ -16,13 +16,7 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import UnusableError
-from tests.support.logs import (
-    PERIOD_NS,
-    cdr_image,
-    frames,
-    mcap_file,
-    read,
-)
+from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 
 IMAGE = frames(1)[0]
 

@@ -332,8 +332,7 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("axis", "angle_deg"),
-    [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)],
+    ("axis", "angle_deg"), [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)]
 )
 def test_beams_that_a_mounting_pitches_or_rolls(
     axis: str, angle_deg: float, tmp_path: Path

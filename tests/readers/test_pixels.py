@@ -26,14 +26,7 @@ from tests.studies.learning.random_scenes import random_scene
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
 from tests.support.logs import read as read_log
-from tests.support.messages import (
-    BEAMS,
-    BEARINGS_DEG,
-    BIN_M,
-    BINS,
-    FIRST_BIN,
-    log_of,
-)
+from tests.support.messages import BEAMS, BEARINGS_DEG, BIN_M, BINS, FIRST_BIN, log_of
 
 
 def floats_log(path: Path, images: list[np.ndarray], number: int) -> Path:

@@ -27,7 +27,6 @@ from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
 from tests.support.messages import serialised
-from tests.support.rows import read_rows
 from tests.support.slow import but_first
 
 HEIGHT = 0.68
@@ -270,30 +269,6 @@ def test_poses_in_tum_form_have_the_heading_of_their_x_axis(
     assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
 
 
-def test_a_run_with_poses_in_tum_form_is_that_with_the_table(pings):
-    scene = replace(load_scene("sample_pan"), frames=16)
-    half = [-math.radians(p.pan_deg) / 2 for p in poses(scene)]
-    lines = [f"{i / 4} 5 6 7 0 0 {math.sin(h)} {math.cos(h)}" for i, h in enumerate(half)]
-    tum = rows(Path("poses.tum"), "\n".join(["# from evo", *lines]) + "\n")
-    sonarrec("run", pings, "--odometry", tum, "-o", "tum")
-    sonarrec("run", pings, "--odometry", pan_table(Path("table.csv")), "-o", "table")
-    found = [
-        np.loadtxt(Path(out) / "pings/estimates.csv", delimiter=",", skiprows=1, usecols=(0, 3, 4))
-        for out in ("tum", "table")
-    ]
-    np.testing.assert_allclose(*found, atol=0.02)
-    places = {}
-    for out in ("tum", "table"):
-        sonarrec("map", f"{out}/pings")
-        places[out] = [
-            (float(row["x_m"]), float(row["y_m"]))
-            for row in read_rows(Path(out, "pings/map/map.csv"))
-        ]
-    # The map has the axes of the file: x is ahead, y to the left.
-    assert places["tum"] == [pytest.approx((5 + y, 6 - x), abs=0.01) for x, y in places["table"]]
-    assert places["tum"]
-
-
 # The pose topic
 
 
@@ -363,10 +338,7 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     sonarrec("run", log, "--topic", "/sonar", *by_table)
     places = [
         np.loadtxt(
-            Path(out) / "dive" / "estimates.csv",
-            delimiter=",",
-            skiprows=1,
-            usecols=(0, 3, 4, 5),
+            Path(out) / "dive" / "estimates.csv", delimiter=",", skiprows=1, usecols=(0, 3, 4, 5)
         )
         for out in ("sonarrec_out", "by_table")
     ]

@@ -24,10 +24,7 @@ from sonarrec.readers.messages.types import MESSAGES, decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from tests.support import messages
 from tests.support.logs import cdr_image, frames, mcap_file
-from tests.support.messages import (
-    DEFINITIONS,
-    read,
-)
+from tests.support.messages import DEFINITIONS, read
 
 IMAGE = frames(1)[0]
 LE = b"\x00\x01\x00\x00"

@@ -159,10 +159,7 @@ def test_a_table_becomes_its_dataclass() -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        (
-            {"cuont": 1},
-            "here: unknown key cuont (did you mean count?)",
-        ),
+        ({"cuont": 1}, "here: unknown key cuont (did you mean count?)"),
         ({"part": {"c d": 1}}, "here: unknown key part.'c d'; known in [part]: share, word, pair"),
         ({"part": 3}, "here: [part] must be a table of keys, not 3"),
         ({"count": -1}, "here: count must be a whole number, 0 or more, not -1"),
