@@ -65,8 +65,8 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One test process more than there are cores: some tests wait for a log that hangs."""
-    return cores() + 1
+    """One test process a core: to collect the tests takes each of them seconds of CPU."""
+    return cores()
 
 
 def pytest_collection_finish() -> None:
