@@ -18,8 +18,17 @@ from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import many
 from sonarrec.runs.job import Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, LogsTable, read_logs
-from tests.studies.bench import peak_mb
-from tests.support.batch import SAMPLE, command, ended, environment, made, rows, tables, until
+from tests.support.batch import (
+    SAMPLE,
+    command,
+    ended,
+    environment,
+    made,
+    peak_mb,
+    rows,
+    tables,
+    until,
+)
 from tests.support.camp import make_camp
 from tests.support.command import sample_log, sonarrec
 
