@@ -4,7 +4,7 @@ BIN := .venv/bin
 SAMPLES := sample_data
 SAMPLE := $(SAMPLES)/pan
 
-.PHONY: test test-slow test-all lint demo bench paper scenes worlds model plates plate-model \
+.PHONY: test test-slow test-all lint demo bench paper scenes worlds model plates plate-model mutants \
 	regression results scale clean
 
 .venv/program: pyproject.toml  # what a user needs
@@ -22,7 +22,7 @@ SAMPLE := $(SAMPLES)/pan
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest
 
 test: .venv/installed  # at least one test of everything: under three minutes on two cores
-	$(PYTEST) -m 'not slow'
+	$(PYTEST) -m 'not slow' --durations=10
 
 test-slow: .venv/installed  # the rest: clusters, stopped runs, learning, long recordings, statistics
 	$(PYTEST) -m slow
@@ -63,6 +63,9 @@ plates: .venv/installed  # sixteen drawings that no model was learned from, on s
 
 plate-model: .venv/installed  # the built-in model of drawn plates, from simulated recordings (minutes)
 	$(BIN)/python -m tests.studies.learning.plates
+
+mutants: .venv/installed  # changes the package at random: what no test notices (two hours)
+	$(BIN)/python -m tests.support.mutants
 
 results: .venv/installed  # RESULTS.md from the studies' files; marks what is stale
 	$(BIN)/python -m tests.studies.results

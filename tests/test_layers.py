@@ -35,21 +35,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1055,
-    "cli": 2967,
-    "drawing": 681,
+    "advice": 1071,
+    "cli": 3067,
+    "drawing": 696,
     "evaluation": 3108,
     "geometry": 437,
     "learning": 524,
-    "mapping": 1400,
-    "overlays": 624,
+    "mapping": 1466,
+    "overlays": 633,
     "readers": 6390,
-    "recogniser": 5677,
-    "reports": 2635,
-    "results": 1970,
+    "recogniser": 5695,
+    "reports": 2673,
+    "results": 1972,
     "runs": 1609,
     "simulation": 2614,
-    "tables": 1011,
+    "tables": 1016,
     "truth": 1219,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

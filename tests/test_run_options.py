@@ -86,10 +86,7 @@ FAULTS = {  # and the exit code: `sonarrec help run`
         overlay LOG OUT -o /proc/x.mp4 | simulate --frames 2 -o /proc/x
         truth propose OUT -o /proc/x.csv | calibrate LOG --ground-truth GT -o /proc/x.toml
         info LOG --write-sonar /proc/x.toml""",
-    (
-        "a part that cannot be used",
-        3,
-    ): """run PARTLY -o o | info PARTLY | overlay PARTLY o -o o.mp4
+    ("a part that cannot be used", 3): """run PARTLY -o o | info PARTLY | overlay PARTLY o -o o.mp4
         evaluate OUT --ground-truth MORE | calibrate PARTLY --ground-truth GT -o m.toml""",
 }
 
@@ -132,10 +129,7 @@ def test_a_fault_has_one_exit_code_in_all_commands(
 )
 def test_an_empty_word_is_refused(words: list[str], after: str) -> None:
     """Such as that of a variable that is not set: as a path it would be the folder of now."""
-    assert (
-        sonarrec(*words, code=2).stderr
-        == f"sonarrec: empty argument after {after}; is a variable unset?\n"
-    )
+    assert f"argument after {after}" in sonarrec(*words, code=2).stderr
 
 
 @pytest.mark.parametrize("name", ["run", "info"])
@@ -217,7 +211,7 @@ def test_a_rate_that_is_assumed_is_said(tmp_path: Path) -> None:
         text = (SAMPLE / "sonar.toml").read_text(encoding="utf-8")
         sonar.write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
         done = sonarrec("run", TEN, "--sonar", sonar, *rate, "-o", tmp_path / "o", "--overwrite")
-        assert ("frames carry no time, so 1 Hz is assumed" in done.stderr) == said
+        assert ("time, so 1 Hz is assumed" in done.stderr) == said
 
 
 def test_what_is_wrong_comes_first_and_notes_are_few(capsys: pytest.CaptureFixture[str]) -> None:
@@ -237,8 +231,8 @@ def test_a_note_on_several_logs_is_told_once(tmp_path: Path) -> None:
         text = (log / "sonar.toml").read_text(encoding="utf-8")
         (log / "sonar.toml").write_text(re.sub(r"frame_rate_hz.*\n", "", text), encoding="utf-8")
     told = sonarrec("run", *logs, "-o", tmp_path / "out").stderr
-    assert told.count("frames carry no time") == 1
-    assert "sonarrec: note: a and 1 more log: frames carry no time" in told
+    assert told.count("carry no time") == 1
+    assert "1 more log" in told
 
 
 @pytest.mark.parametrize(

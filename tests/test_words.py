@@ -6,10 +6,12 @@ import ast
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "sonarrec" / "help").glob("*.md"))
+MODULES = sorted((ROOT / "sonarrec").rglob("*.py"))
 LONGEST = 200
 LONGEST_NOTE = 160
 VALUE = "x" * 8  # in place of what a message is filled with
@@ -88,22 +90,28 @@ def texts_of(node: ast.expr) -> list[str]:
     return [VALUE]
 
 
+@cache
+def nodes(module: Path) -> tuple[ast.AST, ...]:
+    """All nodes of its syntax tree."""
+    return tuple(ast.walk(ast.parse(module.read_text(encoding="utf-8"))))
+
+
 def messages() -> Iterator[tuple[str, str, int]]:
     """(where, first line, most characters) of every message in the code.
 
     The lines that follow the first one are examples, which may be long.
     """
-    for path in sorted((ROOT / "sonarrec").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            told: list[ast.expr] = []
+    for path in MODULES:
+        for node in nodes(path):
+            said: list[ast.expr] = []
             longest = LONGEST
             if isinstance(node, ast.Call):
                 name = getattr(node.func, "id", getattr(node.func, "attr", ""))
-                told = node.args if name in TOLD else []
+                said = node.args if name in TOLD else []
                 longest = LONGEST_NOTE if name == "note" else LONGEST
             elif isinstance(node, ast.Return | ast.Yield) and isinstance(node.value, ast.JoinedStr):
-                told = [node.value]  # of functions that say why
-            for text in (text for one in told for text in texts_of(one)):
+                said = [node.value]  # of functions that say why
+            for text in (text for expression in said for text in texts_of(expression)):
                 yield f"{path.relative_to(ROOT)}:{node.lineno}", text.partition("\n")[0], longest
 
 
@@ -112,28 +120,27 @@ def test_messages_are_short_and_no_text_has_a_word_that_has_a_better_one() -> No
     found = [*messages()]
     assert len(found) > 400
     assert not [(where, text) for where, text, longest in found if len(text) > longest]
-    told = [(where, text) for where, text, _ in found]
+    said = [(where, text) for where, text, _ in found]
     prose = [
         (page.name, re.sub(r"`[^`]*`|^    .*", "", page.read_text("utf-8"), flags=re.MULTILINE))
         for page in [*PAGES, ROOT / "README.md"]
     ]
     word = re.compile(rf"\b({'|'.join(banned())})\b")
-    assert not [(where, word.search(text)) for where, text in [*prose, *told] if word.search(text)]
+    assert not [(where, word.search(text)) for where, text in [*prose, *said] if word.search(text)]
 
 
 def names_in(path: Path) -> Iterator[tuple[str, int]]:
     """(name, line) of all that a module defines, and its own name; no uses, no keys of files."""
     yield path.stem, 1
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     keys = {
         field.target
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.ClassDef)
         for field in node.body
         if isinstance(field, ast.AnnAssign)
         and getattr(field.target, "id", "") in KEYS.get(path.stem, ())
     }
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node.name, node.lineno
         elif isinstance(node, ast.arg):
@@ -146,33 +153,27 @@ def names_in(path: Path) -> Iterator[tuple[str, int]]:
             yield name or "", node.lineno
 
 
-def test_names_use_words_of_the_field() -> None:
+def test_names_use_words_of_the_field_and_vague_ones_are_rare() -> None:
     """Every part of each name, also of those in capitals: `sight_turned`, `TURNED_DEG`."""
     better = {word: use for words, use in REFUSED.items() for word in words.split()}
-    found = []
-    for path in sorted((ROOT / "sonarrec").rglob("*.py")):
+    refused, vague = [], []
+    for path in MODULES:
         for name, line in names_in(path):
+            where = f"{path.relative_to(ROOT)}:{line}: {name}"
             parts = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
             bad = [part for part in parts if part in better]
             bad += ["at"] * (name.strip("_") == "at")
-            where = f"{path.relative_to(ROOT)}:{line}: {name}"
-            found += [f"{where}: use {better.get(part, 'index, position')}" for part in bad]
-    assert not found, "\n".join(found)
-
-
-def test_vague_names_are_rare() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}:{line}: {name}"
-        for path in sorted((ROOT / "sonarrec").rglob("*.py"))
-        for name, line in names_in(path)
-        if name in VAGUE_NAMES
-    ]
-    assert len(found) <= MOST_VAGUE_NAMES, "\n".join(found)
+            refused += [f"{where}: use {better.get(part, 'index, position')}" for part in bad]
+            vague += [where] if name in VAGUE_NAMES else []
+    assert not refused, "\n".join(refused)
+    assert len(vague) <= MOST_VAGUE_NAMES, "\n".join(vague)
 
 
 def test_vague_words_are_rare() -> None:
     found = []
-    for path in sorted((ROOT / "sonarrec").rglob("*.py")):
+    for path in MODULES:
+        if not VAGUE.search(path.read_text(encoding="utf-8")):
+            continue
         with tokenize.open(path) as file:
             for token in tokenize.generate_tokens(file.readline):
                 kind = tokenize.tok_name[token.type]

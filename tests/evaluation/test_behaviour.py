@@ -98,7 +98,7 @@ def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
     )
     done = sonarrec("evaluate", "--ground-truth", tmp_path / "gt.csv", tmp_path, "--details")
     assert "95% intervals over 8 passes" in done.output
-    assert "b minus a, TPR: +0.100, p = 0.0078" in done.output
+    assert "minus a, TPR: +0.100, p = 0.0078" in done.output
     assert re.search(r"^FPR  +0\.0000 \(0\.0000-0\.1226\)", done.output, re.MULTILINE)
     assert max(len(line) for line in done.output.splitlines()[:-1]) <= 100
 

@@ -100,7 +100,7 @@ def test_no_positives_give_empty_cells_and_never_a_zero(tmp_path: Path) -> None:
         }
     for name in ("tpr", "auc"):
         assert figures["smi", "2", name]["value"] == ""
-        assert figures["smi", "2", name]["note"] == "0/0: nothing to measure"
+        assert "0/0: nothing" in figures["smi", "2", name]["note"]
     assert figures["smi", "2", "fpr"]["value"] == str(3 / 992)
     assert figures["smi", "total", "tpr"]["value"] == str(858 / 1043)
     picture = cv2.imread(str(folder / "roc.png"))

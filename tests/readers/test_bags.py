@@ -39,7 +39,7 @@ def test_a_part_that_is_cut_is_read_up_to_the_cut(storage: str, tmp_path: Path) 
     assert numbers == [*range(kept), *range(20, 30)]
     for frame, number in zip(found, numbers, strict=True):
         np.testing.assert_array_equal(frame.image, images[number])
-    assert any(f"{files[1].name}: cut short or damaged" in line for line in problems)
+    assert any(f"{files[1].name}: cut short" in line for line in problems)
 
 
 @pytest.mark.parametrize("storage", [".mcap", ".db3"])
@@ -61,7 +61,7 @@ def test_a_missing_part(storage: str, tmp_path: Path) -> None:
     assert "missing" in problems[0]
     for file in files:
         file.unlink(missing_ok=True)
-    with pytest.raises(SonarrecError, match="no log and no image in this folder"):
+    with pytest.raises(SonarrecError, match="no image"):
         read(tmp_path / "dive")
 
 
@@ -184,5 +184,5 @@ def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> Non
     file.with_name("dive.db3-journal").write_bytes(b"hot")
     found, problems = read(file)
     assert len(found) == 6
-    assert "dive.db3: 4 messages of topics that it does not list, not read" in problems
-    assert any("what its recorder left in dive.db3-journal is not read" in p for p in problems)
+    assert "dive.db3: 4 messages" in problems
+    assert any("dive.db3-journal" in p for p in problems)

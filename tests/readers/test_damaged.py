@@ -116,7 +116,7 @@ def test_a_changed_file_is_told_or_reads_as_before(make: Make, tmp_path: Path) -
     """Never more frames than there were; lost ones are told, in lines; no traceback."""
     path, _ = made(make, tmp_path)
     data, rng, most = path.read_bytes(), np.random.default_rng(0), 0
-    for k in range(15):
+    for k in range(0, 15, 2):
         changed = bytearray(data)
         for at in rng.integers(0, len(data), 1 + 4 * k):
             changed[at] = rng.integers(0, 256)

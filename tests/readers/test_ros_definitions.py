@@ -24,10 +24,7 @@ from sonarrec.readers.messages.types import MESSAGES, decoder_for, message_type
 from sonarrec.readers.raw import UnusableError
 from tests.support import messages
 from tests.support.logs import cdr_image, frames, mcap_file
-from tests.support.messages import (
-    DEFINITIONS,
-    read,
-)
+from tests.support.messages import DEFINITIONS, read
 
 IMAGE = frames(1)[0]
 LE = b"\x00\x01\x00\x00"
@@ -104,7 +101,7 @@ uint32 nanosec
 
 
 def test_other_encodings_than_plain_cdr_are_told() -> None:
-    with pytest.raises(UnusableError, match="otherwise than as plain CDR, as XCDR2 is"):
+    with pytest.raises(UnusableError, match="plain CDR, as XCDR2"):
         decoded("uint8 a", b"\x01", b"\x00\x07\x00\x00")
 
 
@@ -167,7 +164,7 @@ def test_definitions_that_cannot_be_understood(text: str, tmp_path: Path) -> Non
             schema=name, schema_encoding="ros2msg", schema_data=text.encode(),
         )  # fmt: skip
 
-    with pytest.raises(SonarrecError, match="the definition of /a cannot be used") as refused:
+    with pytest.raises(SonarrecError, match="definition of /a cannot") as refused:
         read(log("sonar_oculus_interface/msg/OculusPing"))
     assert "\n" not in str(refused.value)
     np.testing.assert_array_equal(read(log("sensor_msgs/msg/Image"))[0][0].image, IMAGE)

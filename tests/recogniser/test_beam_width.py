@@ -76,7 +76,7 @@ def test_a_run_says_and_keeps_what_it_took(wide: Path, tmp_path: Path) -> None:
     def told_by(*more: str | Path) -> str:
         return sonarrec("run", wide, "-q", "-o", tmp_path / "out", *more).stderr
 
-    assert f"beam width: {STATED_DEG:g} deg, as stated" in told_by()
+    assert f"beam width: {STATED_DEG:g} deg" in told_by()
     assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
     # Again from its run.toml, and with a width of one's own.
     run_file = tmp_path / "run.toml"

@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import plane_from_polar
+from sonarrec.config import Continuity, preset
+from sonarrec.errors import Diagnostics
+from sonarrec.geometry import PolarToFan, PoseTable, plane_from_polar
+from sonarrec.landmarks import PlatePose
 from sonarrec.readers import open_log
 from sonarrec.recogniser.drawn.drawings import (
     FINE,
@@ -22,8 +25,16 @@ from sonarrec.recogniser.drawn.drawings import (
     uneven_light,
 )
 from sonarrec.recogniser.drawn.model import built_in_model
+from sonarrec.recogniser.drawn.pose import Fit
+from sonarrec.recogniser.drawn.stage2 import Plates, _Plate
+from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
+from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.records import Frame, Selection
 from sonarrec.runs.run import Recogniser
+from sonarrec.simulation.render import render
+from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
 from tests.support.clip import ACTAG, clip_claims, family
+from tests.support.drawn import make_fan
 from tests.support.rows import read_rows
 
 
@@ -74,6 +85,62 @@ def test_what_a_wrong_drawing_leaves_is_patches() -> None:
     assert found[0, 0] == pytest.approx(found[1, 0], abs=0.05)
     noisy, mixed = built_in_model().of_pictures(found)
     assert noisy > mixed + 5
+
+
+@pytest.mark.parametrize("pose", ["free", "floor"])
+def test_a_simulated_tag_is_claimed_where_it_is(pose: PlatePose) -> None:
+    """Held and swinging, or lying on the floor before a sonar whose poses are known."""
+    tag = HeldPlate(0, range_m=1.0, turned_deg=10.0, tilt_deg=30.0 * (pose == "free"))
+    scene = PlateScene(landmark_set=replace(family(), mirrored="no", pose=pose), plate=(tag,))
+    scene = replace(scene, frames=12, beams=192, bins=280, clutter=0)
+    if pose == "floor":
+        scene = replace(scene, swing=0.0, height_m=0.5)
+    polar = PolarToFan(scene_sonar(scene).complete("scene"), scene.bins, scene.beams)
+    shots = list(render(scene))
+    times = np.array([shot.timestamp_ns for shot in shots[:8]])
+    poses = PoseTable("poses", {}, times, np.zeros((8, 3)), 1e9)
+    stages = PlateStages(preset("default"), polar.fan, scene.landmark_set, poses=poses)
+    claimed = 0
+    for shot in shots:
+        frame = Frame(shot.index, shot.timestamp_ns, shot.image, polar.fan, polar=polar)
+        for estimate in stages.step(frame).estimates:
+            if estimate.declared:
+                (true,) = shot.truth
+                assert estimate.landmark == 0
+                assert estimate.range_m == pytest.approx(true.range_m, abs=0.02)
+                assert estimate.bearing_deg == pytest.approx(true.bearing_deg, abs=0.5)
+                off = (estimate.orientation_deg - true.orientation_deg + 180) % 360 - 180
+                assert abs(off) < 5
+                claimed += 1
+    assert claimed >= 10
+    diagnostics = Diagnostics()
+    stages.odometry.report(diagnostics)
+    # A plate that is held moves by itself, so poses are not asked for.
+    assert bool(diagnostics.problems) == (pose == "floor")
+    assert all("pose for 4 of 12" in line for line in diagnostics.problems)
+
+
+def test_a_plate_that_was_found_is_the_only_peak_about_it() -> None:
+    """Else stage 1's peaks on its cells begin groups of their own."""
+    fitter = pose_fitter(preset("default"), make_fan(height_m=None), family())
+    groups = ContinuityFilter(Continuity(), fitter.plane, np.random.default_rng(0))
+    plates, half = Plates(fitter, groups), fitter.plane.axes[0]
+    rows, columns = fitter.plane.inside.shape
+    middle = np.array([columns / 2, rows / 2])
+    pose = np.array([*middle, half, 0, 0, half])
+    fit = Fit(pose, np.full(7, 0.8, np.float32), 0, 0, np.zeros((FINE, FINE), np.float32), 3.0)
+    plates._plates[0] = _Plate(fit, seen=True, began=0)
+    score = np.full((rows, columns), 0.5, np.float32)
+    near, far = middle + np.array([[half, 0], [2 * half, 0]])
+    kept = np.array([near, far])
+    led = plates.lead(Selection(score, kept, np.array([0.5, 0.5]), score, score))
+    assert led.positions.tolist() == [middle.tolist(), far.tolist()]
+    assert led.scores.tolist() == pytest.approx([0.8, 0.5])
+    y, x = np.mgrid[:rows, :columns]
+    off = np.maximum(abs(x - middle[0]), abs(y - middle[1])) / half
+    assert led.score_map[off < 0.04] == pytest.approx(0.8, abs=0.02)
+    assert led.score_map[(off > 1) & (off < 1.45)].max() < 0.01
+    assert (led.score_map[off > 1.55] == 0.5).all()
 
 
 @pytest.mark.slow

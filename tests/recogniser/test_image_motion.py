@@ -13,7 +13,9 @@ import pytest
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.geometry import PoseTable
+from sonarrec.recogniser.motion.image_motion import _Evidence
 from sonarrec.recogniser.motion.odometry import Odometry
+from sonarrec.recogniser.motion.registration import Registration
 from sonarrec.recogniser.plane import working_plane
 from sonarrec.records import Fan, Motion
 from sonarrec.simulation.motion import Pose, poses
@@ -80,6 +82,23 @@ def test_a_vehicle_s_motion_is_measured_with_its_error(seed: int) -> None:
     assert (squared[[0, 2]] > 0.5).all()
     # Over the way made so far nothing gathers but what single steps leave.
     assert (np.abs(error.sum(axis=0)) < (0.06, 0.06, 1.5)).all()
+
+
+def test_evidence_of_many_frames_is_that_of_their_faded_mean() -> None:
+    """By draws: its chi-square has a mean of 2 where nothing moves, and its sigma is the mean's."""
+    rng = np.random.default_rng(0)
+    sigma = np.array([0.004, 0.02])
+    found, mean = [], []
+    for _ in range(400):
+        evidence = _Evidence()
+        for _ in range(40):
+            motion = np.append(rng.normal(0, sigma), 0.0)
+            found_now = evidence.add(Registration(motion, np.diag([*sigma**2, 1e-6]), 0.9))
+        found.append(found_now)
+        mean.append(np.linalg.solve(evidence.matrix, evidence.vector))
+    assert np.mean(found) == pytest.approx(2, abs=0.3)
+    assert evidence.sigma is not None
+    np.testing.assert_allclose(evidence.sigma, np.std(mean, axis=0), rtol=0.12)
 
 
 def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None], Fan]:

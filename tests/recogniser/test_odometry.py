@@ -63,7 +63,7 @@ def estimated(first: np.ndarray, second: np.ndarray, kind: str = "floor") -> tup
     return estimator.step(plane.warp(second))
 
 
-@pytest.mark.parametrize("pan_deg", [-8.0, -2.0, -0.5, 0.0, 0.07, 0.3, 1.37, 5.0])
+@pytest.mark.parametrize("pan_deg", [-8.0, -0.5, 0.07, 1.37])
 @pytest.mark.parametrize("kind", ["floor", "fan"])
 def test_a_known_pan_is_recovered_to_a_tenth_of_a_degree(pan_deg, kind):
     floor = floor_speckle(1)

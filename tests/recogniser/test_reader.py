@@ -153,6 +153,19 @@ def test_a_perfect_landmark_is_read_direction_by_direction(landmark: int, turn: 
     assert abs(off) < 1
 
 
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 0.9])
+def test_a_rotation_between_two_steps_lies_between_them(share: float) -> None:
+    """The log odds of ID.1 rotated by a part of a step: those of two steps, mixed."""
+    lit = 8.0 * (2 * CODES[:, 0] - 1)
+    mixed = (1 - share) * lit[[10]] + share * lit[[11]]
+    layers = np.zeros((1, ANGLES, READ.layers(drawn(1, 0))[0].shape[2]))
+    layers[0, :, -1] = 1
+    weights = WEIGHTS | {"lit": np.eye(1, layers.shape[2], layers.shape[2] - 1)[0]}
+    layers *= mixed[0][None, :, None]
+    reading = Reader(weights, CODES).reading(layers, READ.layers(drawn(1, 0))[1])
+    assert reading.rotation[0, 0] == pytest.approx(10 + share, abs=0.03)
+
+
 def test_a_direction_of_which_nothing_was_seen_says_nothing() -> None:
     """Half of a landmark beyond the fan's edge: IDs that agree with the other half stay."""
     pictures = drawn(1, 0)  # lit in the first quarter

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.evaluation import plots
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports import charts
 from sonarrec.reports.glyphs import glyph
+from tests.support.claims import all_scored, counts
+from tests.support.pages import random_results, reported
 
 
 @given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
@@ -109,3 +114,30 @@ def traced(part: str) -> np.ndarray:
 
     assert outer == pytest.approx(np.hypot(ax - 50, ay - 50), abs=0.1)
     return np.vstack([arc(ax, ay, bx, by), arc(dx, dy, cx, cy)])
+
+
+def test_the_roc_runs_along_the_right_axes(tmp_path: Path) -> None:
+    """Every corner of the line and every dot is one of the evaluation's."""
+    case = reported(random_results(tmp_path / "log")).matched
+    assert case is not None
+    scored = all_scored(counts(case))[0]
+    chart = charts.roc(scored.counts, scored.protocol)
+    end = plots.roc(scored.counts, scored.protocol).fpr_end
+    assert end < 1
+    curve, count = scored.curve(), scored.count()
+    (points,) = drawn_points(chart.shapes[0].path)
+    x, y = np.array(points).T
+    fpr, tpr = x / charts.WIDTH * end, 1 - y / charts.HEIGHT
+    away = np.hypot(fpr[:, None] - curve["fpr"], tpr[:, None] - curve["tpr"])
+    assert away.min(axis=1).max() < 0.002
+    assert chart.dots[0][:2] == pytest.approx((100 * count.fpr / end, 100 * count.tpr))
+
+
+def test_a_landmark_that_is_never_declared_has_a_row_where_it_is_in_view(tmp_path: Path) -> None:
+    log = reported(random_results(tmp_path / "log"))
+    assert log.in_view is not None
+    shown = np.flatnonzero(log.in_view.any(axis=0)).tolist()
+    silent = replace(log.results, declared=np.zeros_like(log.results.declared))
+    assert [k for k, _ in charts.timeline(replace(log, results=silent))] == shown
+    blind = replace(log, results=silent, matched=None)
+    assert charts.timeline(blind) == []

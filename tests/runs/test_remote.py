@@ -173,18 +173,19 @@ def test_what_takes_no_url_says_so() -> None:
 SECRETS = ("s3cret", "s3'cret", "s3 cret", "s3/cret", "s3@cret", "s3%2Fcret", "s3cret/+=s3cret")
 
 
-@pytest.mark.parametrize("secret", SECRETS)
+URLS = (
+    "http://me:{}@127.0.0.1:1/a.mcap",
+    "https://127.0.0.1:1/a.mcap#token={}",
+    "https://127.0.0.1:1/a.mcap?X-Amz-Signature={}",
+    "s3://me:{}@bucket/a.mcap",
+    "gs://me:{}@bucket/a.mcap",
+    "sftp://me:{}@127.0.0.1:1/a.mcap",
+    "ftp://me:{}@127.0.0.1:1/a.mcap",
+)
+
+
 @pytest.mark.parametrize(
-    "url",
-    [
-        "http://me:{}@127.0.0.1:1/a.mcap",
-        "https://127.0.0.1:1/a.mcap#token={}",
-        "https://127.0.0.1:1/a.mcap?X-Amz-Signature={}",
-        "s3://me:{}@bucket/a.mcap",
-        "gs://me:{}@bucket/a.mcap",
-        "sftp://me:{}@127.0.0.1:1/a.mcap",
-        "ftp://me:{}@127.0.0.1:1/a.mcap",
-    ],
+    ("url", "secret"), [(URLS[0], s) for s in SECRETS] + [(url, SECRETS[1]) for url in URLS[1:]]
 )
 def test_no_library_and_no_option_tells_a_secret(url: str, secret: str, tmp_path: Path) -> None:
     full, out = url.format(secret), tmp_path / "out"

@@ -164,6 +164,26 @@ def test_a_raised_far_edge_casts_a_shadow_as_long_as_the_ray_over_it() -> None:
     assert (even_power(disc(LEAN, 180.0))[360:, 46:50].mean(axis=1) > 0.5).all()
 
 
+@pytest.mark.parametrize(("towards", "raised"), [(180.0, "near"), (0.0, "far")])
+def test_the_raised_edge_of_a_leaning_disc_is_bright_on_the_near_side(
+    towards: float, raised: str
+) -> None:
+    levels = []
+    for specular_db in (0.0, 6.0):
+        scene = disc(LEAN, towards)
+        levels.append(
+            even_power(replace(scene, fading=replace(scene.fading, specular_db=specular_db)))
+        )
+    change_db = 10 * np.log10(levels[1] / levels[0])[:, 46:50].mean(axis=1)
+    near, far = RANGE_M < 2.0, RANGE_M > 2.04
+    if raised == "near":
+        assert change_db[near].max() == pytest.approx(6, abs=0.9)
+        assert np.abs(change_db[far]).max() < 0.5
+    else:
+        assert change_db[far].min() == pytest.approx(-6, abs=0.9)
+        assert np.abs(change_db[near]).max() < 0.5
+
+
 def test_truth_is_the_middle_of_the_raised_disc() -> None:
     scene = replace(POLAR, landmarks=(PlacedLandmark(1, 1.9, 3.0, lean_deg=15.0),))
     (row,) = next(render(scene)).truth
@@ -171,7 +191,7 @@ def test_truth_is_the_middle_of_the_raised_disc() -> None:
     assert row.range_m == pytest.approx(math.hypot(1.9, 0.68 - up), abs=1e-4)
     assert row.bearing_deg == pytest.approx(3.0, abs=1e-4)
     moving = replace(scene, motion=replace(scene.motion, surge_m_s=0.2))
-    with pytest.raises(SonarrecError, match="discs lean before a standing sonar only"):
+    with pytest.raises(SonarrecError, match="standing sonar"):
         next(render(moving))
 
 

@@ -92,6 +92,16 @@ def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
         simulate("plates", tmp_path / "other.mcap")
 
 
+def test_the_background_is_as_far_over_the_noise_as_stated() -> None:
+    """Speckle of power 1 / 1.6 ** 2, whose uneven strength, of 2.5 dB, adds .7 dB to its mean."""
+    blank = replace(SCENE, frames=6, blank_every=2, swing=0.0, floor_db=15.0)
+    grey = np.array([frame.image for frame in render(blank)])[:, 60:340]
+    grey = grey[:, :, np.r_[:70, 186:256]]  # beside the plate
+    power = (10 ** ((grey / 255 * 60 - 8) / 10)).mean(axis=(1, 2))
+    over_db = 10 * np.log10(power[::2].mean() / power[1::2].mean() - 1)
+    assert over_db == pytest.approx(15 - 20 * np.log10(1.6) + 0.7, abs=2)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

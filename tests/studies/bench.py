@@ -43,6 +43,7 @@ from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObjec
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.baseline import HALF, METHOD, HoughSmi, Settings, fan_of, read_grey
 from tests.studies.results.record import judge, options, save, show
+from tests.support.batch import peak_mb
 from tests.support.counted import counted
 from tests.support.logs import cdr_image, mcap_file
 from tests.support.simulated import Job, recognise, score
@@ -362,23 +363,6 @@ def rates(scene: Scene, folder: Path) -> dict[str, str]:
         for (protocol, method), count in counted(score([folder])).items()
         if protocol == "strict" and method in names
     }
-
-
-# On Linux a new process is charged with the peak of the one it was forked from, until it runs
-# its own program: so it is forked from a small one.
-_LAUNCHER = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-"""
-
-
-def peak_mb(command: list[str]) -> float:
-    """Peak resident memory of a command, MB. Raises CalledProcessError where it fails."""
-    told = subprocess.run(
-        [sys.executable, "-c", _LAUNCHER, *command], check=True, capture_output=True, text=True
-    )
-    return int(told.stdout) / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def memory(work: Path, images: list[np.ndarray]) -> None:

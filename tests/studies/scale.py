@@ -21,20 +21,12 @@ from pathlib import Path
 from sonarrec.simulation.scene import load_scene
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.results.record import options, save, show
-from tests.support.batch import SAMPLE, command, environment, rows, tables
+from tests.support.batch import SAMPLE, command, environment, peak_mb, rows, tables
 
 FRAMES = 60
 MOST_CALIBRATED = 10_000
 """Frames of the longest log that is learned from: it takes 6 ms a frame."""
 SEEDS = range(8000, 8004)
-# Runs a command and prints its peak in KiB (bytes on macOS), by a small process: a new one is
-# charged with the peak of that which it was forked from.
-_LAUNCH = """
-import resource, subprocess, sys
-code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-sys.exit(code not in (0, 3))
-"""
 
 
 def recordings(folder: Path) -> list[Path]:
@@ -123,13 +115,6 @@ def thousand(home: Path, source: list[Path], count: int) -> None:
         sys.exit(f"done twice: {twice}")
 
 
-def peak_of(*words: object) -> float:
-    """Peak resident memory, MB, of a process that runs a command, which must not fail."""
-    run = [sys.executable, "-c", _LAUNCH, *command(*words)]
-    told = subprocess.run(run, check=True, capture_output=True, text=True).stdout
-    return int(told) / (1024**2 if sys.platform == "darwin" else 1024)
-
-
 def long(home: Path, largest: int) -> None:
     """Logs of 1,000 frames and more through the commands; the sample again and again."""
     images = sorted(SAMPLE.glob("*.png"))
@@ -159,7 +144,7 @@ def long(home: Path, largest: int) -> None:
         ):
             if count <= MOST_CALIBRATED or words[0] != "calibrate":
                 begun = time.monotonic()
-                peak = peak_of(*words)
+                peak = peak_mb(command(*words))
                 took = f"{time.monotonic() - begun:.1f}"
                 name = " ".join(map(str, words[: 2 if words[0] == "truth" else 1]))
                 lines.append({"command": name, "frames": count, "MB": f"{peak:.0f}", "s": took})

@@ -27,14 +27,7 @@ from tests.studies.learning.random_scenes import (
 from tests.studies.results.readme import POOLED
 from tests.studies.results.record import judge, options, save, show
 from tests.support.counted import Count, counted
-from tests.support.simulated import (
-    METHODS,
-    PRESETS,
-    Job,
-    in_processes,
-    recognise,
-    score,
-)
+from tests.support.simulated import METHODS, PRESETS, Job, in_processes, recognise, score
 
 TUNING = range(2000, 3000)
 """Seeds that settings are chosen on."""

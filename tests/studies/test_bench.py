@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from sonarrec.simulation.simulate import write_recording
-from tests.studies.bench import PARTS, peak_mb, wide
+from tests.studies.bench import PARTS, wide
+from tests.support.batch import peak_mb
 
 FRAMES, LONG = 16, 64
 # MB. Limits; most of it is taken before the 40th frame.

@@ -108,3 +108,20 @@ def rows(out: Path) -> dict[str, dict[str, str]]:
 def tables(folder: Path) -> list[bytes]:
     names = ("frames.csv", "estimates.csv", "sightings.csv")
     return [(folder / name).read_bytes() for name in names]
+
+
+# On Linux a new process is charged with the peak of the one it was forked from, until it runs
+# its own program: so it is forked from a small one.
+_LAUNCHER = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+sys.exit(code not in (0, 3))
+"""
+
+
+def peak_mb(words: list[str]) -> float:
+    """Peak resident memory of a command, MB. Raises CalledProcessError where it fails."""
+    run = [sys.executable, "-c", _LAUNCHER, *words]
+    told = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+    return int(told) / (1024**2 if sys.platform == "darwin" else 1024)

@@ -152,7 +152,7 @@ def test_one_foreign_file_and_nothing_is_written(work: Path, line: str, name: st
     done = sonarrec(f"{line} -o mine")
     assert done.exit_code == 2
     [told] = done.stderr.splitlines()
-    assert f"mine/{name}: exists and is no " in told
+    assert f"mine/{name}: exists" in told
     assert contents(work) == before
 
 
@@ -181,15 +181,18 @@ def test_what_a_command_wrote_it_writes_again(line: str) -> None:
 
 @pytest.mark.parametrize(
     ("line", "full", "lost"),
-    [
-        (f"report {TABLES} -o o", "o", set()),
-        (f"map {TABLES} -o o", "o/map.csv", set()),
-        (f"evaluate {COMPARE} -o o", "o/compare.csv", set()),
-        # Where it stands the others are of one call.
-        (f"{EVALUATE} -o o", "o/confusion.csv", {"o/evaluation.json"}),
-        (f"overlay log {TABLES} -o o.mcap", "o.mcap", set()),
-        (f"overlay log {TABLES} -o o.mp4", "o.mp4", set()),
-    ],
+    but_first(
+        [
+            (f"report {TABLES} -o o", "o", set()),
+            (f"map {TABLES} -o o", "o/map.csv", set()),
+            (f"evaluate {COMPARE} -o o", "o/compare.csv", set()),
+            # Where it stands the others are of one call.
+            (f"{EVALUATE} -o o", "o/confusion.csv", {"o/evaluation.json"}),
+            (f"overlay log {TABLES} -o o.mcap", "o.mcap", set()),
+            (f"overlay log {TABLES} -o o.mp4", "o.mp4", set()),
+        ],
+        2,
+    ),
 )
 def test_a_full_disk_leaves_what_was_there(
     work: Path, line: str, full: str, lost: set[str]
@@ -205,7 +208,7 @@ def test_a_full_disk_leaves_what_was_there(
     assert done.exit_code == 1
     [told] = done.stderr.splitlines()
     assert told.startswith(f"sonarrec: {full}: ")
-    assert "cannot be written (File too large)" in told or "is the disk full?" in told
+    assert "written (File too large)" in told or "is the disk full?" in told
     assert contents(work) == {
         p: b for p, b in before.items() if f"{p.relative_to(work)}" not in lost
     }
@@ -259,7 +262,7 @@ def test_a_picture_beside_other_pictures_is_no_part_of_a_recording() -> None:
     assert sonarrec("landmarks -o lm.png").exit_code == 2  # it may be a recording
 
 
-@pytest.mark.parametrize("out", ["new", "new/x.mcap", "there", "x.mcap"])
+@pytest.mark.parametrize("out", but_first(["new", "x.mcap", "new/x.mcap", "there"], 2))
 def test_a_simulation_on_a_full_disk_leaves_nothing(work: Path, out: str) -> None:
     (work / "there").mkdir()
     before, folders = contents(work), {p for p in work.rglob("*") if p.is_dir()}
@@ -276,6 +279,7 @@ def test_a_simulation_on_a_full_disk_leaves_nothing(work: Path, out: str) -> Non
     assert sonarrec(f"simulate --frames 3 -q -o {out}").exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_simulation_that_is_terminated_leaves_nothing(work: Path) -> None:
     words = [sys.executable, "-m", "sonarrec", "simulate", "--frames", "100000", "-o", "x.mcap"]
     with subprocess.Popen(words, cwd=work, stderr=subprocess.PIPE) as process:
@@ -288,6 +292,7 @@ def test_a_simulation_that_is_terminated_leaves_nothing(work: Path) -> None:
     assert not [path for path in work.iterdir() if path.name.startswith((".", "x"))]
 
 
+@pytest.mark.slow
 def test_what_a_killed_simulation_left_is_removed_by_the_next(work: Path) -> None:
     words = [sys.executable, "-m", "sonarrec", "simulate", "--frames", "100000", "-o", "x.mcap"]
     with subprocess.Popen(words, cwd=work, stderr=subprocess.PIPE) as process:
@@ -302,17 +307,20 @@ def test_what_a_killed_simulation_left_is_removed_by_the_next(work: Path) -> Non
 
 @pytest.mark.parametrize(
     ("line", "link"),
-    [
-        (EVALUATE, f"{TABLES}/evaluation"),
-        (EVALUATE, f"{TABLES}/evaluation/confusion.csv"),
-        (EVALUATE, f"{TABLES}/evaluation/roc.png"),
-        (f"evaluate {COMPARE}", f"{TABLES}/evaluation"),
-        (f"map {TABLES}", f"{TABLES}/map"),
-        (f"map {TABLES}", f"{TABLES}/map/map.csv"),
-        (f"report {TABLES}", f"{TABLES}/report.html"),
-        ("run log --overwrite", "sonarrec_out/.log.old"),
-        ("run log --overwrite", "sonarrec_out/log.part"),
-    ],
+    but_first(
+        [
+            (EVALUATE, f"{TABLES}/evaluation"),
+            (EVALUATE, f"{TABLES}/evaluation/roc.png"),
+            (f"report {TABLES}", f"{TABLES}/report.html"),
+            ("run log --overwrite", "sonarrec_out/.log.old"),
+            (EVALUATE, f"{TABLES}/evaluation/confusion.csv"),
+            (f"evaluate {COMPARE}", f"{TABLES}/evaluation"),
+            (f"map {TABLES}", f"{TABLES}/map"),
+            (f"map {TABLES}", f"{TABLES}/map/map.csv"),
+            ("run log --overwrite", "sonarrec_out/log.part"),
+        ],
+        4,
+    ),
 )
 def test_no_link_in_a_results_folder_is_followed(work: Path, line: str, link: str) -> None:
     place = work / link
@@ -338,7 +346,7 @@ def test_logs_csv_is_never_a_link(work: Path) -> None:
     table.rename(work / "mine.csv")
     table.symlink_to(work / "mine.csv")
     before = (work / "mine.csv").read_bytes()
-    done = sonarrec("run pan.mcap")
+    done = sonarrec("run log --overwrite")
     assert "a link" in done.stderr
     assert (work / "mine.csv").read_bytes() == before
 

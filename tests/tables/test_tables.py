@@ -20,7 +20,7 @@ def times(path: Path, *cells: str) -> list[int]:
 def test_whole_numbers_are_all_those_of_64_bits(tmp_path: Path) -> None:
     most = [-(2**63), 0, 2**63 - 512, 2**63 - 1]
     assert times(tmp_path / "t.csv", *map(str, most)) == most
-    with pytest.raises(SonarrecError, match=r"line 3: timestamp_ns must be a whole number, not"):
+    with pytest.raises(SonarrecError, match="line 3: timestamp_ns must"):
         times(tmp_path / "t.csv", "0", str(2**63))
 
 
@@ -60,7 +60,7 @@ def test_names_are_text_whatever_they_look_like(
 def test_a_table_in_another_encoding_is_told(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes("a,b\n1,größe\n".encode(encoding))
-    with pytest.raises(SonarrecError, match="not in UTF-8; save it as that"):
+    with pytest.raises(SonarrecError, match="UTF-8; save"):
         read_table(path, {"a": "whole"}, ("a",), "a,b")
 
 

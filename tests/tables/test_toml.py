@@ -76,7 +76,7 @@ def test_what_cannot_be_meant(reader: str, tmp_path: Path) -> None:
     for value in HOSTILE.values():
         path.write_text(f"{sound}{key.split('.')[-1]} = {value}\n")
         text = one_line(lambda: read(path), path)
-        assert key in text or "not a readable TOML file" in text, value[:60]
+        assert key in text or "readable TOML file" in text, value[:60]
     for name in ('"a\\nb"', '"\\u001b[31m"', '""', "k" * 5000, ".".join("a" * 5000)):
         path.write_text(f"{sound}{name} = 1\n")
         text = one_line(lambda: read(path), path)
@@ -122,7 +122,7 @@ def test_names_no_file_can_have() -> None:
 
 def test_assignments_that_cannot_be_meant() -> None:
     for value in HOSTILE.values():
-        with pytest.raises(UsageError, match=r"candidates\.threshold must be a number") as caught:
+        with pytest.raises(UsageError, match="candidates\\.threshold must") as caught:
             with_assignments(Config(), [f"candidates.threshold={value}"])
         assert str(caught.value).isprintable()
         assert len(str(caught.value)) < 300
@@ -159,10 +159,7 @@ def test_a_table_becomes_its_dataclass() -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        (
-            {"cuont": 1},
-            "here: unknown key cuont (did you mean count?)",
-        ),
+        ({"cuont": 1}, "here: unknown key cuont (did you mean count?)"),
         ({"part": {"c d": 1}}, "here: unknown key part.'c d'; known in [part]: share, word, pair"),
         ({"part": 3}, "here: [part] must be a table of keys, not 3"),
         ({"count": -1}, "here: count must be a whole number, 0 or more, not -1"),

@@ -464,9 +464,7 @@ def jobs_of(world: World, first: int, each: int, frames: int, folder: Path) -> l
 
 
 def grouped(
-    worlds: Sequence[World],
-    jobs: Sequence[Sequence[Job]],
-    readings: bool = False,
+    worlds: Sequence[World], jobs: Sequence[Sequence[Job]], readings: bool = False
 ) -> Group:
     """The worlds scored. readings: by the first job of each, with all readings."""
     if readings:

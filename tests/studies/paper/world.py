@@ -109,11 +109,7 @@ class World:
             for o in base.objects
             if o.kind in ("mesh", "beam", "wall")
         ]
-        fading = replace(
-            base.fading,
-            time_s=v["fading_s"],
-            **{k: v[k] for k in FADING},
-        )
+        fading = replace(base.fading, time_s=v["fading_s"], **{k: v[k] for k in FADING})
         return replace(
             base,
             seed=seed,
