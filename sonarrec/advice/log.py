@@ -71,13 +71,13 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
         )
     if saturated:
         yield Advice(f"{saturated:.0%} of the frames {cause}")
-    alone = len(ended.first) == 1
+    alone = len(run.first) == 1
     if log.untimed and not alone:
         yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
     if has_sightings or narrow or not run.recogniser.tracking:
         return
     if alone:
-        yield Advice(_of_one_frame(ended))
+        yield Advice(_of_one_frame(run))
         return
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
@@ -95,10 +95,10 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     )
 
 
-def _of_one_frame(ended: EndedRun) -> str:
+def _of_one_frame(run: PreparedRun) -> str:
     """Why nothing may be declared in the only frame of a run."""
-    features = ended.job.run_options.configs[0].features
-    if isinstance(ended.run.landmarks, DrawnSet):
+    features = run.job.run_options.configs[0].features
+    if isinstance(run.landmarks, DrawnSet):
         return "no landmark declared: IDs of drawn plates are declared from the second frame on"
     return (
         f"no landmark declared: in a single frame an ID needs a score of {features.declare_alone:g}"
