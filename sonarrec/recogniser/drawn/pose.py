@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import dist
 
 import cv2
 import numpy as np
@@ -120,12 +121,14 @@ class PoseFitter:
             match[self.halves_off(other, middles) < EXPLAINED] = -1
         # Some of the best drawings, each in its best poses: refinement distinguishes them.
         chosen: list[tuple[int, int]] = []
+        places: list[list[list[float]]] = [[] for _ in rows]  # of each drawing, the chosen middles
+        middle = middles.tolist()
         for index in np.argsort(-match, axis=None).tolist():
             i, k = divmod(index, len(rows))
-            same = [j for j, drawing in chosen if drawing == k]
-            offsets = [np.hypot(*(middles[i, k] - middles[j, k])) for j in same]
-            if len(same) < SAME and min(offsets, default=np.inf) > SEPARATION * self._half:
+            apart = all(dist(middle[i][k], p) > SEPARATION * self._half for p in places[k])
+            if len(places[k]) < SAME and apart:
                 chosen.append((i, k))
+                places[k].append(middle[i][k])
             if len(chosen) == min(STARTS, SAME * len(rows)):
                 break
         i, k = np.array(chosen).T
@@ -159,14 +162,19 @@ class PoseFitter:
 
     def smear(self, pose: FloatArray) -> tuple[float, float]:
         """Standard deviations along u and v of an echo at a pose, in halves of the plate's side."""
-        offset = pose[:2] - self.plane.apex
-        distance = np.hypot(*offset)
-        along, across = offset / distance, np.array([-offset[1], offset[0]]) / distance
-        inverse = np.linalg.inv(pose[2:].reshape(2, 2))
+        return self.smears(pose[None])[0]
+
+    def smears(self, poses: FloatArray) -> list[tuple[float, float]]:
+        """As `smear`, of n poses."""
+        along = poses[:, :2] - self.plane.apex
+        distance = np.hypot(*along.T)[:, None]
+        along = along / distance
+        across = along[:, ::-1] * (-1, 1)
+        inverse = np.linalg.inv(poses[:, 2:].reshape(-1, 2, 2))
         # A pixel is about as long as what interpolation smears.
-        wide = inverse @ np.stack([across * np.hypot(self._beam * distance, 0.5), 0.5 * along], 1)
-        across_sigma, down_sigma = np.hypot(*wide.T).tolist()
-        return across_sigma, down_sigma
+        axes = [across * np.hypot(self._beam * distance, 0.5), 0.5 * along]
+        wide = inverse @ np.stack(axes, axis=2)
+        return [(u, v) for u, v in np.hypot(*wide.transpose(2, 0, 1)).tolist()]
 
     def corners(self, pose: FloatArray) -> FloatArray:
         """(4, 2) pixels of the corners: of the picture's top left, then clockwise."""
@@ -224,8 +232,10 @@ class PoseFitter:
         light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
-                shown(self.drawings.seen(FINE, self._smear_in_drawing(p, way))[row], way)
-                for p, row, way in zip(poses, rows, ways, strict=True)
+                shown(self.drawings.seen_one(row, FINE, smear[::-1] if way % 2 else smear), way)
+                for smear, row, way in zip(
+                    self.smears(poses), rows.tolist(), ways.tolist(), strict=True
+                )
             ]
         )
         flat = levelled(templates.reshape(n, -1), light)
@@ -248,11 +258,6 @@ class PoseFitter:
             Fit(poses[i], compared[i], int(rows[i]), int(ways[i]), pictures[i], odds[i])
             for i in range(n)
         ]
-
-    def _smear_in_drawing(self, pose: FloatArray, way: int) -> tuple[float, float]:
-        """The smear in the drawing's own axes."""
-        across, down = self.smear(pose)
-        return (down, across) if way % 2 else (across, down)
 
     def _within(self, poses: FloatArray) -> FloatArray:
         """(n, 6) poses with singular values that a plate can have."""
