@@ -78,7 +78,7 @@ def comparisons(
     match = (pictures * drawings).sum(axis=1)
     matches = [match]
     for sigma in SOFTENED:
-        blur = np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
+        blur = _blur(sigma)
         soft = [
             levelled(np.reshape(blur @ x.reshape(-1, FINE, FINE) @ blur.T, (-1, FINE**2)), light)
             for x in (pictures, drawings)
@@ -93,6 +93,12 @@ def comparisons(
     along_down = np.abs(range_ward[:, 1]) > np.abs(range_ward[:, 0])
     across, along = np.where(along_down, [right, down], [down, right])
     return np.stack([*matches, *across, *along], axis=1)
+
+
+@functools.cache
+def _blur(sigma: int) -> FloatImage:
+    """(FINE, FINE) what softens the columns of a fine picture."""
+    return np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
 
 
 def shown(drawing: FloatImage, way: int) -> FloatImage:

@@ -78,8 +78,9 @@ class Plates:
 
     def follow(self, image: FloatImage) -> None:
         """Fit every known plate in the next frame."""
-        for plate in self._plates.values():
-            fit = self._fitter.near(image, plate.fit)
+        plates = [*self._plates.values()]
+        fits = self._fitter.near(image, [plate.fit for plate in plates])
+        for plate, fit in zip(plates, fits, strict=True):
             plate.seen = self._is_clear(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
