@@ -23,7 +23,7 @@ FINE, COARSE = 28, 10  # samples along a picture's side
 SOFTENED, LAGS = (1, 2), (1, 2)
 LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
 BLUR_STEP = 0.03  # halves; smears that differ by less count as one
-KEPT, KEPT_SINGLE = 4, 256  # smears whose drawings are kept, and single drawings
+KEPT, KEPT_SINGLE = 8, 256  # smears whose drawings are kept, and single drawings
 MOST_SOUGHT = 32  # drawings with which a plate is first looked for
 _cumulative = np.frompyfunc(lambda z: 0.5 * (1 + erf(z / 2**0.5)), 1, 1)
 

@@ -15,7 +15,7 @@ from math import dist
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IndexArray, IntArray
+from sonarrec.arrays import FloatArray, FloatImage, IndexArray, IntArray
 from sonarrec.landmarks import PlatePose
 from sonarrec.recogniser.drawn.drawings import (
     COARSE,
@@ -87,6 +87,7 @@ class PoseFitter:
         self.drawings, self.plane, self._beam = drawings, plane, beam_sigma
         self.model = model
         self._half, self._bounds = plane.axes[0], BOUNDS[pose]
+        self._inside = plane.inside.astype(np.float32)
         self._tried = self._half * np.array(
             [
                 _rotation(axis) @ np.diag([1, short]) @ _rotation(rotation - axis)
@@ -186,10 +187,9 @@ class PoseFitter:
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return np.asarray(pose[:2] + square @ pose[2:].reshape(2, 2).T)
 
-    def sampled(self, image: ByteImage, pose: FloatArray) -> FloatImage:
-        """(COARSE, COARSE) an image of the plane at a pose."""
-        pictures = _sampled(image.astype(np.float32), pose[None], COARSE)
-        return np.asarray(pictures[0], np.float32)
+    def share_inside(self, pose: FloatArray) -> float:
+        """Share of a plate at a pose that lies inside the fan."""
+        return float(_sampled(self._inside, pose[None], COARSE).mean())
 
     def halves_off(self, pose: FloatArray, pixels: FloatArray) -> FloatArray:
         """(...) distance of (..., 2) pixels from a plate's middle, in halves of its side there."""
@@ -269,6 +269,11 @@ class PoseFitter:
     def _within(self, poses: FloatArray) -> FloatArray:
         """(n, 6) poses with singular values that a plate can have."""
         low, high, least = (self._half * bound for bound in self._bounds)
+        a, b, c, d = poses[:, 2:].T
+        both, off = np.hypot(a + d, c - b), np.hypot(a - d, b + c)  # sum and difference of the two
+        larger, smaller = (both + off) / 2, np.abs(both - off) / 2
+        if larger.min() >= low and larger.max() <= high and smaller.min() >= least:
+            return poses
         u, values, v = np.linalg.svd(poses[:, 2:].reshape(-1, 2, 2))
         larger = values[:, 0].clip(low, high)
         smaller = np.minimum(values[:, 1].clip(least), larger)

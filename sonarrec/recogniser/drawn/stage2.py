@@ -171,7 +171,7 @@ class Plates:
         """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""
         if fit.match < least or max(self._fitter.smear(fit.pose)) > WIDEST_SIGMA:
             return False
-        return float(self._fitter.sampled(self._plane.inside, fit.pose).mean()) >= SHOWN
+        return self._fitter.share_inside(fit.pose) >= SHOWN
 
     def _explain(self, score: FloatImage, fit: Fit) -> None:
         """Put a plate's match into a score map, a peak in its middle, in place of what is there."""
