@@ -122,14 +122,16 @@ class PoseFitter:
             match[self.halves_off(other, middles) < EXPLAINED] = -1
         # Some of the best drawings, each in its best poses: refinement distinguishes them.
         chosen: list[tuple[int, int]] = []
-        places: list[list[list[float]]] = [[] for _ in rows]  # of each drawing, the chosen middles
+        chosen_middles: list[list[list[float]]] = [
+            [] for _ in rows
+        ]  # of each drawing, the chosen middles
         middle = middles.tolist()
         for index in np.argsort(-match, axis=None).tolist():
             i, k = divmod(index, len(rows))
-            apart = all(dist(middle[i][k], p) > SEPARATION * self._half for p in places[k])
-            if len(places[k]) < SAME and apart:
+            is_new = all(dist(middle[i][k], p) > SEPARATION * self._half for p in chosen_middles[k])
+            if len(chosen_middles[k]) < SAME and is_new:
                 chosen.append((i, k))
-                places[k].append(middle[i][k])
+                chosen_middles[k].append(middle[i][k])
             if len(chosen) == min(STARTS, SAME * len(rows)):
                 break
         i, k = np.array(chosen).T
