@@ -45,7 +45,7 @@ LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 LARGE, SEARCHED, LEAST_RADIUS = 2**16, 2, 4.5
 COARSE_SHARE, LEAST_SHARE = 0.77, 0.63
 NEIGHBOURHOOD = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
-TINY = 1e-6  # disc diameters: a rounding error puts no near peak two squares away
+TINY = 1e-6  # disc diameters: rounding errors put no near peak two squares off
 # At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
 # or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
 # grow in proportion, up to MOST_FACTOR. All measured kinds of scene have smaller floors.
@@ -340,7 +340,7 @@ class RingScore:
         around = self._surroundings
         # Whole blocks may exceed the image.
         pixel = np.minimum(np.rint(positions).astype(int), np.array(image.shape[::-1]) - 1)
-        grey, inside = (self._patches(of, pixel) for of in (self._padded(image), self._pixels))
+        grey, inside = (self._patches(p, pixel) for p in (self._padded(image), self._pixels))
         # The surroundings' level is nearly even within a patch, and the kernel sums to 0.
         relief = grey - around.values_at(levels.mean, pixel)[:, None]
         relief *= inside

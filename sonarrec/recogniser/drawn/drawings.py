@@ -7,7 +7,6 @@ show in it in up to eight ways (`ways`): rotated by 0, 90, 180 or 270 degrees, m
 from __future__ import annotations
 
 import functools
-from collections import OrderedDict
 from math import erf
 from statistics import NormalDist
 
@@ -24,7 +23,7 @@ FINE, COARSE = 28, 10  # samples along a picture's side
 SOFTENED, LAGS = (1, 2), (1, 2)
 LEAST_BLUR = 0.04  # halves of a plate's side: about a sample of a fine picture
 BLUR_STEP = 0.03  # halves; smears that differ by less count as one
-KEPT = 4  # smears whose drawings are kept
+KEPT, KEPT_SINGLE = 8, 256  # smears whose drawings are kept, and single drawings
 MOST_SOUGHT = 32  # drawings with which a plate is first looked for
 _cumulative = np.frompyfunc(lambda z: 0.5 * (1 + erf(z / 2**0.5)), 1, 1)
 
@@ -79,7 +78,7 @@ def comparisons(
     match = (pictures * drawings).sum(axis=1)
     matches = [match]
     for sigma in SOFTENED:
-        blur = np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
+        blur = _blur(sigma)
         soft = [
             levelled(np.reshape(blur @ x.reshape(-1, FINE, FINE) @ blur.T, (-1, FINE**2)), light)
             for x in (pictures, drawings)
@@ -94,6 +93,12 @@ def comparisons(
     along_down = np.abs(range_ward[:, 1]) > np.abs(range_ward[:, 0])
     across, along = np.where(along_down, [right, down], [down, right])
     return np.stack([*matches, *across, *along], axis=1)
+
+
+@functools.cache
+def _blur(sigma: int) -> FloatImage:
+    """(FINE, FINE) what softens the columns of a fine picture."""
+    return np.asarray(cv2.GaussianBlur(np.eye(FINE), (1, 8 * sigma + 1), sigma), np.float32)
 
 
 def shown(drawing: FloatImage, way: int) -> FloatImage:
@@ -118,23 +123,19 @@ class Drawings:
         # Families have hundreds: these stand for all of them until the pose is known.
         step = max(1, -(-self.count // MOST_SOUGHT))
         self.sought = np.arange(0, self.count, step)
-        self._kept: OrderedDict[tuple[int, int, int], FloatImage] = OrderedDict()
+        self._smeared_kept = functools.lru_cache(KEPT)(self._smeared)
+        self._one_kept = functools.lru_cache(KEPT_SINGLE)(self._smeared_one)
 
     def seen(self, size: int, smear: tuple[float, float]) -> FloatImage:
         """(rows, size, size) brightness of all drawings through beam and pulse.
 
         smear: standard deviations of a point along u and v, in halves of a side.
         """
-        across, down = (round(max(s, LEAST_BLUR) / BLUR_STEP) for s in smear)
-        key = (size, across, down)
-        if key not in self._kept:
-            self._kept[key] = self._smeared(
-                size, *(max(s * BLUR_STEP, LEAST_BLUR) for s in key[1:])
-            )
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
+        return self._smeared_kept(size, *_stepped(smear))
+
+    def seen_one(self, row: int, size: int, smear: tuple[float, float]) -> FloatImage:
+        """(size, size) of one drawing; the rest as of `seen`."""
+        return self._one_kept(row, size, *_stepped(smear))
 
     def _smeared(self, size: int, across: float, down: float) -> FloatImage:
         made = np.empty((len(self._cells), size, size), np.float32)
@@ -143,6 +144,11 @@ class Drawings:
             cells = np.stack([c for c in self._cells if len(c) == n])
             made[sides == n] = _spread(size, n, down) @ cells @ _spread(size, n, across).T
         return made
+
+    def _smeared_one(self, row: int, size: int, across: float, down: float) -> FloatImage:
+        cells = self._cells[row]
+        n = len(cells)
+        return np.asarray(_spread(size, n, down) @ cells @ _spread(size, n, across).T)
 
     def matches(
         self, picture: FloatImage, range_ward: FloatArray, smear: tuple[float, float]
@@ -167,6 +173,15 @@ class Drawings:
         return matches
 
 
+def _stepped(smear: tuple[float, float]) -> tuple[float, float]:
+    """The smear that stands for this and for all that differ by less than BLUR_STEP."""
+    across, down = (
+        max(round(max(s, LEAST_BLUR) / BLUR_STEP) * BLUR_STEP, LEAST_BLUR) for s in smear
+    )
+    return across, down
+
+
+@functools.lru_cache(64)
 def _spread(size: int, cells: int, sigma: float) -> FloatImage:
     """(size, cells) how much of each cell's brightness a sample gets, along one axis."""
     middles = (2 * np.arange(size) + 1) / size - 1

@@ -10,11 +10,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import dist
 
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IndexArray, IntArray
+from sonarrec.arrays import FloatArray, FloatImage, IndexArray, IntArray
 from sonarrec.landmarks import PlatePose
 from sonarrec.recogniser.drawn.drawings import (
     COARSE,
@@ -86,6 +87,7 @@ class PoseFitter:
         self.drawings, self.plane, self._beam = drawings, plane, beam_sigma
         self.model = model
         self._half, self._bounds = plane.axes[0], BOUNDS[pose]
+        self._inside = plane.inside.astype(np.float32)
         self._tried = self._half * np.array(
             [
                 _rotation(axis) @ np.diag([1, short]) @ _rotation(rotation - axis)
@@ -120,12 +122,16 @@ class PoseFitter:
             match[self.halves_off(other, middles) < EXPLAINED] = -1
         # Some of the best drawings, each in its best poses: refinement distinguishes them.
         chosen: list[tuple[int, int]] = []
+        chosen_middles: list[list[list[float]]] = [
+            [] for _ in rows
+        ]  # of each drawing, the chosen middles
+        middle = middles.tolist()
         for index in np.argsort(-match, axis=None).tolist():
             i, k = divmod(index, len(rows))
-            same = [j for j, drawing in chosen if drawing == k]
-            offsets = [np.hypot(*(middles[i, k] - middles[j, k])) for j in same]
-            if len(same) < SAME and min(offsets, default=np.inf) > SEPARATION * self._half:
+            is_new = all(dist(middle[i][k], p) > SEPARATION * self._half for p in chosen_middles[k])
+            if len(chosen_middles[k]) < SAME and is_new:
                 chosen.append((i, k))
+                chosen_middles[k].append(middle[i][k])
             if len(chosen) == min(STARTS, SAME * len(rows)):
                 break
         i, k = np.array(chosen).T
@@ -136,16 +142,21 @@ class PoseFitter:
         drawings = np.array([fit.row for fit in fits]), np.array([fit.way for fit in fits])
         return self._refined(image, np.array([fit.pose for fit in fits]), drawings, ROUNDS)
 
-    def near(self, image: FloatImage, last: Fit) -> Fit:
-        """The fit of the same drawing with a pose near that of the frame before."""
-        smear = self.smear(last.pose)
-        row = self.drawings.seen(COARSE, (max(smear), max(smear)))[last.row]
-        pose = last.pose[None].copy()
-        _, middles, _ = self._shifted(image, pose, shown(row, last.way)[None, None], NEAR)
-        pose[0, :2] = middles[0, 0]
-        poses = np.concatenate([pose, last.pose[None]])
-        drawings = np.array([last.row] * 2), np.array([last.way] * 2)
-        return max(self._refined(image, poses, drawings, NEAR_ROUNDS), key=lambda fit: fit.odds)
+    def near(self, image: FloatImage, last: Sequence[Fit]) -> list[Fit]:
+        """Of each plate the fit of the same drawing with a pose near that of the frame before."""
+        if not last:
+            return []
+        before = np.array([fit.pose for fit in last])
+        moved = before.copy()
+        for n, (fit, smear) in enumerate(zip(last, self.smears(before), strict=True)):
+            coarse = self.drawings.seen_one(fit.row, COARSE, (max(smear), max(smear)))
+            template = shown(coarse, fit.way)[None, None]
+            moved[n, :2] = self._shifted(image, before[n, None], template, NEAR)[1][0, 0]
+        drawings = np.array([(fit.row, fit.way) for fit in last] * 2).T
+        poses = np.concatenate([moved, before])
+        fits = self._refined(image, poses, (drawings[0], drawings[1]), NEAR_ROUNDS)
+        pairs = zip(fits[: len(last)], fits[len(last) :], strict=True)
+        return [max(pair, key=lambda fit: fit.odds) for pair in pairs]
 
     def matches(self, picture: FloatImage, pose: FloatArray) -> FloatImage:
         """(rows, ways) of a picture with all drawings at a pose; as of Drawings."""
@@ -159,24 +170,28 @@ class PoseFitter:
 
     def smear(self, pose: FloatArray) -> tuple[float, float]:
         """Standard deviations along u and v of an echo at a pose, in halves of the plate's side."""
-        offset = pose[:2] - self.plane.apex
-        distance = np.hypot(*offset)
-        along, across = offset / distance, np.array([-offset[1], offset[0]]) / distance
-        inverse = np.linalg.inv(pose[2:].reshape(2, 2))
+        return self.smears(pose[None])[0]
+
+    def smears(self, poses: FloatArray) -> list[tuple[float, float]]:
+        """As `smear`, of n poses."""
+        along = poses[:, :2] - self.plane.apex
+        distance = np.hypot(*along.T)[:, None]
+        along = along / distance
+        across = along[:, ::-1] * (-1, 1)
+        inverse = np.linalg.inv(poses[:, 2:].reshape(-1, 2, 2))
         # A pixel is about as long as what interpolation smears.
-        wide = inverse @ np.stack([across * np.hypot(self._beam * distance, 0.5), 0.5 * along], 1)
-        across_sigma, down_sigma = np.hypot(*wide.T).tolist()
-        return across_sigma, down_sigma
+        axes = [across * np.hypot(self._beam * distance, 0.5), 0.5 * along]
+        wide = inverse @ np.stack(axes, axis=2)
+        return [(u, v) for u, v in np.hypot(*wide.transpose(2, 0, 1)).tolist()]
 
     def corners(self, pose: FloatArray) -> FloatArray:
         """(4, 2) pixels of the corners: of the picture's top left, then clockwise."""
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return np.asarray(pose[:2] + square @ pose[2:].reshape(2, 2).T)
 
-    def sampled(self, image: ByteImage, pose: FloatArray) -> FloatImage:
-        """(COARSE, COARSE) an image of the plane at a pose."""
-        pictures = _sampled(image.astype(np.float32), pose[None], COARSE)
-        return np.asarray(pictures[0], np.float32)
+    def share_inside(self, pose: FloatArray) -> float:
+        """Share of a plate at a pose that lies inside the fan."""
+        return float(_sampled(self._inside, pose[None], COARSE).mean())
 
     def halves_off(self, pose: FloatArray, pixels: FloatArray) -> FloatArray:
         """(...) distance of (..., 2) pixels from a plate's middle, in halves of its side there."""
@@ -198,8 +213,10 @@ class PoseFitter:
         windows = np.lib.stride_tricks.sliding_window_view(wide, (COARSE, COARSE), axis=(1, 2))
         windows = windows.reshape(n * side**2, COARSE**2)
         squares = np.einsum("ij,ij->i", windows, windows)
-        left = squares - ((windows @ light[0].T) ** 2).sum(axis=1)
-        match = windows @ flat.T / np.sqrt(np.maximum(left, 1))[:, None]
+        products = windows @ np.concatenate([flat, light[0]]).T
+        match, of_light = products[:, : k * ways], products[:, k * ways :]
+        left = squares - np.einsum("ij,ij->i", of_light, of_light)
+        match = match / np.sqrt(np.maximum(left, 1))[:, None]
         match = match.reshape(n, side**2, k, ways).transpose(0, 2, 1, 3).reshape(n, k, -1)
         best = match.argmax(axis=2)
         shift, way = np.divmod(best, ways)
@@ -224,8 +241,10 @@ class PoseFitter:
         light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
-                shown(self.drawings.seen(FINE, self._smear_in_drawing(p, way))[row], way)
-                for p, row, way in zip(poses, rows, ways, strict=True)
+                shown(self.drawings.seen_one(row, FINE, smear[::-1] if way % 2 else smear), way)
+                for smear, row, way in zip(
+                    self.smears(poses), rows.tolist(), ways.tolist(), strict=True
+                )
             ]
         )
         flat = levelled(templates.reshape(n, -1), light)
@@ -249,14 +268,14 @@ class PoseFitter:
             for i in range(n)
         ]
 
-    def _smear_in_drawing(self, pose: FloatArray, way: int) -> tuple[float, float]:
-        """The smear in the drawing's own axes."""
-        across, down = self.smear(pose)
-        return (down, across) if way % 2 else (across, down)
-
     def _within(self, poses: FloatArray) -> FloatArray:
         """(n, 6) poses with singular values that a plate can have."""
         low, high, least = (self._half * bound for bound in self._bounds)
+        a, b, c, d = poses[:, 2:].T
+        both, off = np.hypot(a + d, c - b), np.hypot(a - d, b + c)  # sum and difference of the two
+        larger, smaller = (both + off) / 2, np.abs(both - off) / 2
+        if larger.min() >= low and larger.max() <= high and smaller.min() >= least:
+            return poses
         u, values, v = np.linalg.svd(poses[:, 2:].reshape(-1, 2, 2))
         larger = values[:, 0].clip(low, high)
         smaller = np.minimum(values[:, 1].clip(least), larger)
@@ -300,4 +319,6 @@ def _steps(flat: FloatImage, light: FloatImage) -> FloatImage:
     slopes = slopes - (slopes @ fixed.transpose(0, 2, 1)) @ fixed
     curvature = slopes @ slopes.transpose(0, 2, 1)
     mean = np.trace(curvature, axis1=1, axis2=2)[:, None, None] / 6
-    return np.asarray(np.linalg.solve(curvature + RIDGE * mean * np.eye(6), slopes), np.float32)
+    # Inverses of so few rows cost a tenth of what solving for all the columns does.
+    inverse = np.linalg.inv(curvature + RIDGE * mean * np.eye(6))
+    return np.asarray(inverse @ slopes, np.float32)

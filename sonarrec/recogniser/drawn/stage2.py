@@ -79,8 +79,8 @@ class Plates:
         """Fit every known plate in the next frame. Returns those that are seen, the best first."""
         plates = self._tracks["plate"]
         known = [(row, plate) for row, plate in enumerate(plates) if plate is not None]
-        for _, plate in known:
-            fit = self._fitter.near(image, plate.fit)
+        fits = self._fitter.near(image, [plate.fit for _, plate in known])
+        for (_, plate), fit in zip(known, fits, strict=True):
             plate.seen = self._is_clear(fit, LEAST_NEAR)
             plate.missed = 0 if plate.seen else plate.missed + 1
             if plate.seen:
@@ -169,7 +169,7 @@ class Plates:
         """Whether a fit matches well enough, inside the fan, where beams resolve its drawing."""
         if fit.match < least or max(self._fitter.smear(fit.pose)) > WIDEST_SIGMA:
             return False
-        return float(self._fitter.sampled(self._plane.inside, fit.pose).mean()) >= SHOWN
+        return self._fitter.share_inside(fit.pose) >= SHOWN
 
     def _explain(self, score: FloatImage, fit: Fit) -> None:
         """Put a plate's match into a score map, a peak in its middle, in place of what is there."""
