@@ -29,13 +29,10 @@ class Table:
     def __init__(self, **columns: npt.ArrayLike) -> None:
         """columns: (n, ...) each; a single value fills its column."""
         arrays = {name: np.asarray(column) for name, column in columns.items()}
-        rows = np.broadcast_shapes(*{array.shape[:1] for array in arrays.values()})
-        self.columns = {
-            name: array
-            if array.shape[:1] == rows
-            else np.broadcast_to(array, (*rows, *array.shape[1:]))
-            for name, array in arrays.items()
-        }
+        if len(shapes := {array.shape[:1] for array in arrays.values()}) > 1:
+            rows = np.broadcast_shapes(*shapes)
+            arrays = {k: np.broadcast_to(a, (*rows, *a.shape[1:])) for k, a in arrays.items()}
+        self.columns = arrays
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))

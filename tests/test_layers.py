@@ -44,7 +44,7 @@ MOST_LINES = {
     "mapping": 1466,
     "overlays": 633,
     "readers": 6390,
-    "recogniser": 5731,
+    "recogniser": 5735,
     "reports": 2673,
     "results": 1972,
     "runs": 1609,

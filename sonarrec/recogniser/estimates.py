@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -93,37 +94,39 @@ class Estimates:
         range_m, bearing_deg = self._plane.to_polar(*positions.T)
         _, left_deg = rounded_steps(sight_deg)
         orientation_deg = (90 - bearing_deg - left_deg + beliefs.rotation * STEP_DEG) % 360
-        orientation_sigma = beliefs.rotation_sigma * STEP_DEG
         claimed = declared(scores, threshold) & beliefs.enough_evidence
         read = [""] * len(positions) if beliefs.lit is None else _digits(beliefs.lit, left_deg)
         corners: Sequence[FloatArray | None] = [None] * len(positions)
         if beliefs.corners is not None:
             corners = [None if np.isnan(of_one).any() else of_one for of_one in beliefs.corners]
+        numbers = {
+            "object": objects["number"],
+            "x_px": column,
+            "y_px": row,
+            "range_m": range_m,
+            "bearing_deg": bearing_deg,
+            "orientation_deg": orientation_deg,
+            "existence": objects["existence"],
+            "score": scores,
+            "declared": claimed,
+            "range_sigma_m": range_sigma,
+            "bearing_sigma_deg": bearing_sigma,
+            "orientation_sigma_deg": beliefs.rotation_sigma * STEP_DEG,
+            "sight_deg": sight_deg,
+            "episode": objects["episode"],
+            "in_view": objects["shown"],
+            "enough_evidence": beliefs.enough_evidence,
+        }
+        fields: dict[str, Sequence[Any]] = {
+            **{name: values.tolist() for name, values in numbers.items()},
+            "probabilities": list(beliefs.probabilities),
+            "landmark": [self._ids[i] for i in landmark_index],
+            "read": read,
+            "corners": corners,
+        }
         return [
-            Estimate(
-                method=method,
-                object=int(objects["number"][i]),
-                x_px=float(column[i]),
-                y_px=float(row[i]),
-                range_m=float(range_m[i]),
-                bearing_deg=float(bearing_deg[i]),
-                orientation_deg=float(orientation_deg[i]),
-                existence=float(objects["existence"][i]),
-                probabilities=beliefs.probabilities[i],
-                landmark=self._ids[landmark_index[i]],
-                score=float(scores[i]),
-                declared=bool(claimed[i]),
-                range_sigma_m=float(range_sigma[i]),
-                bearing_sigma_deg=float(bearing_sigma[i]),
-                orientation_sigma_deg=float(orientation_sigma[i]),
-                sight_deg=float(sight_deg[i]),
-                episode=int(objects["episode"][i]),
-                in_view=bool(objects["shown"][i]),
-                enough_evidence=bool(beliefs.enough_evidence[i]),
-                read=read[i],
-                corners=corners[i],
-            )
-            for i in range(len(positions))
+            Estimate(method, **dict(zip(fields, values, strict=True)))
+            for values in zip(*fields.values(), strict=True)
         ]
 
 

@@ -82,7 +82,7 @@ class ContinuityFilter:
         # The border stands for all positions beyond the image.
         self._share = cv2.copyMakeBorder(
             plane.disc_share(), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=-1
-        )
+        ).astype(float)
         self._particles = Particles(config, rng)
         self._tracks = tracks
         tracks.declare(
@@ -136,7 +136,7 @@ class ContinuityFilter:
         self._count_misses(rows, hit, in_view)
         self._delete(rows, astray, in_view, motion)
         self._begin(selection.positions)
-        return tracks.select(REPORTED)[tracks.in_view]
+        return self._reported()
 
     def centre(self) -> Table:
         """Shift the groups in view to their `position`, which was measured more exactly.
@@ -147,7 +147,11 @@ class ContinuityFilter:
         tracks["object_position"][rows] = tracks["position"][rows]
         shift = tracks["position"][rows] - self._particles.mean(tracks["particles"][rows])
         tracks["particles"][rows] += shift[:, None].astype(np.float32)
-        return tracks.select(REPORTED)[rows]
+        return self._reported()
+
+    def _reported(self) -> Table:
+        rows = self._tracks.in_view
+        return Table(**{name: self._tracks[name][rows] for name in REPORTED})
 
     def _without_neighbours(
         self, particles: FloatArray, weight: FloatArray, objects: FloatArray, candidates: FloatArray
@@ -170,14 +174,13 @@ class ContinuityFilter:
         neighbours = (distance > OWN_CANDIDATE) & (distance < 1)
         if not neighbours.any():
             return weight
+        group, candidate = np.nonzero(neighbours)
+        # Which side of the perpendicular bisector a particle is on, in disc diameters.
+        way = (candidates[candidate] - own[group]) / self._diameter**2
+        middle = (candidates[candidate] + own[group]) / 2
+        off = particles[group] - middle[:, None].astype(np.float32)
         nearer = np.zeros(weight.shape, bool)
-        for candidate in np.flatnonzero(neighbours.any(axis=0)):
-            position, groups = candidates[candidate], neighbours[:, candidate]
-            # Which side of the perpendicular bisector a particle is on, in disc diameters.
-            way = (position - own[groups]) / self._diameter**2
-            middle = (position + own[groups]) / 2
-            off = particles[groups] - middle[:, None].astype(np.float32)
-            nearer[groups] |= (off @ way[:, :, None].astype(np.float32))[..., 0] > 0
+        np.logical_or.at(nearer, group, (off @ way[:, :, None].astype(np.float32))[..., 0] > 0)
         kept = np.where(nearer, 0.0, weight)
         total = kept.sum(axis=1, keepdims=True)
         return np.where(total > 0, kept / np.maximum(total, 1e-12), weight)
@@ -205,7 +208,7 @@ class ContinuityFilter:
             # At the fan's edge particles may stay behind their object, or leave before it.
             share = np.minimum(share, self._visible_share(tracks["position"][rows]))
         tracks["shown"][rows] = shown = share >= self._config.least_in_view
-        if motion is None:
+        if motion is None or shown.all():
             return shown
         return shown | (hit & (share > self._visible_share(before)))
 
@@ -244,7 +247,7 @@ class ContinuityFilter:
         existence = tracks["existence"][rows]
         of_object = existence * np.where(hit, P_HIT_OBJECT, 1 - P_HIT_OBJECT)
         of_clutter = (1 - existence) * np.where(hit, P_HIT_CLUTTER, 1 - P_HIT_CLUTTER)
-        updated = (of_object / (of_object + of_clutter)).clip(0.01, 0.99)
+        updated = np.minimum(np.maximum(of_object / (of_object + of_clutter), 0.01), 0.99)
         tracks["existence"][rows[in_view]] = updated[in_view]
 
     def _delete(
@@ -257,8 +260,8 @@ class ContinuityFilter:
         alive &= ~(astray & in_view)
         # Tracks are ordered by age; of two on one object the older stays.
         objects = tracks["object_position"][rows]
-        near = np.tril(self._distances(objects, objects) < config.merge, -1)
-        alive &= ~(near & alive).any(axis=1)
+        near = self._distances(objects, objects) < config.merge
+        alive &= ~(near & alive & (rows[:, None] > rows)).any(axis=1)
         kept = np.zeros(len(tracks), bool)
         kept[rows] = alive & in_view
         if motion is not None:
@@ -322,9 +325,8 @@ class ContinuityFilter:
     def _visible_share(self, positions: FloatArray) -> FloatArray:
         """(n,) share inside the fan of discs at (n, 2) pixels; -1 beyond the image."""
         column, row = np.rint(positions).astype(int).T + 1
-        rows, columns = self._share.shape
-        share = self._share[row.clip(0, rows - 1), column.clip(0, columns - 1)]
-        return np.asarray(share, float)
+        index = np.ravel_multi_index((row, column), self._share.shape, "clip")
+        return np.asarray(self._share.take(index))
 
     def _distances(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(len(a), len(b)) distances in disc diameters, along the axes of the disc's image."""

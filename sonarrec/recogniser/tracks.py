@@ -30,9 +30,8 @@ class Tracks(Table):
         """Add columns. new: what each has in a row that begins: values of any shape, (n, ...) in
         the table, or a class, of which every row gets an object of its own."""
         for name, value in new.items():
-            shape, dtype = np.shape(value), np.asarray(value).dtype
-            self.columns[name] = np.empty((len(self) if self.columns else 0, *shape), dtype)
-            self._new[name] = value
+            self._new[name] = np.asarray(value)[None]
+            self.columns[name] = self._new[name][:0]
 
     def __setitem__(self, name: str, values: npt.ArrayLike) -> None:
         self.columns[name][:] = values
@@ -51,9 +50,9 @@ class Tracks(Table):
         """Begin so many tracks, with new numbers. Returns their rows."""
         rows = len(self) + np.arange(count)
         for name, column in self.columns.items():
-            new = np.empty((count, *column.shape[1:]), column.dtype)
-            value = self._new[name]
-            new[:] = [value() for _ in rows] if callable(value) else value
+            new = np.repeat(self._new[name], count, axis=0)
+            if callable(new_object := self._new[name][0]):
+                new[:] = [new_object() for _ in rows]
             self.columns[name] = np.concatenate([column, new])
         self["number"][rows] = self._last + 1 + np.arange(count)
         self._last += count
