@@ -76,7 +76,7 @@ def find_truths(
 ) -> list[Pair]:
     """Each results folder with its truth; one without truth is a problem.
 
-    truths: one truth of all, or a folder that holds NAME.gt.csv of each; None: the truth beside
+    truths: one truth of all, or a folder that holds NAME.gt.csv of each; None: that of
     each log, of which run.toml says where it is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
     several logs share a truth without a log column.
