@@ -35,10 +35,10 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1055,
+    "advice": 1052,
     "cli": 2954,
     "drawing": 681,
-    "evaluation": 3108,
+    "evaluation": 3098,
     "geometry": 418,
     "learning": 539,
     "mapping": 1400,
