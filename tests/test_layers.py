@@ -47,7 +47,7 @@ MOST_LINES = {
     "recogniser": 5816,
     "reports": 2641,
     "results": 1970,
-    "runs": 1609,
+    "runs": 1611,
     "simulation": 2614,
     "tables": 1011,
     "truth": 1219,
