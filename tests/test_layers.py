@@ -35,10 +35,10 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1071,
+    "advice": 1068,
     "cli": 3067,
     "drawing": 696,
-    "evaluation": 3108,
+    "evaluation": 3098,
     "geometry": 437,
     "learning": 524,
     "mapping": 1466,
@@ -47,7 +47,7 @@ MOST_LINES = {
     "recogniser": 5735,
     "reports": 2673,
     "results": 1972,
-    "runs": 1609,
+    "runs": 1611,
     "simulation": 2614,
     "tables": 1016,
     "truth": 1219,

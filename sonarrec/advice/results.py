@@ -24,10 +24,7 @@ def of_results(log: LogToScore, tables: LogTables, options: ScoringOptions) -> I
     table, results, truth = tables.truth, tables.results[-1], tables.truths[-1]
     matched = tables.matched[-1]
     if options.labelled_only:  # the others are asked as well
-        within_m, ids = options.within_m, matched.ids
-        matched = match(
-            results, truth, options.min_visible, ids, within_m=within_m, labelled_only=True
-        )
+        matched = match(results, truth, options, matched.ids)
     yield from of_truth(table, results, truth, options.min_visible)
     yield from of_claims(table, results, matched, options)
     if unread := unread_columns(table):

@@ -139,11 +139,7 @@ def score_log(
                     for rows in truths
                 ],
             )
-        within_m, only = options.within_m, options.labelled_only
-        matched = [
-            match(side, of_side, options.min_visible, ids, within_m=within_m, labelled_only=only)
-            for side, of_side in zip(*counted, strict=True)
-        ]
+        matched = [match(*side, options, ids) for side in zip(*counted, strict=True)]
     score = LogScore(
         log=log,
         recording=source,

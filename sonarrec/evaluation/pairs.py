@@ -76,8 +76,8 @@ def find_truths(
 ) -> list[Pair]:
     """Each results folder with its truth; one without truth is a problem.
 
-    truths: one truth of all, or a folder that holds NAME.gt.csv of each; None: the truth beside
-    each log, of which run.toml says where it is.
+    truths: one truth of all, or a folder that holds NAME.gt.csv of each; None: each log's own, for
+    run.toml says where the log is.
     Raises UsageError if there is no truth at all, SonarrecError if no run.toml can be read or if
     several logs share a truth without a log column.
     """

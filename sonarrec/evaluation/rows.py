@@ -128,19 +128,13 @@ class Matched:
 
 
 def match(
-    log: LogResults,
-    truth: Truth,
-    min_visible: float,
-    ids: tuple[int, ...] = (),
-    *,
-    within_m: float | None = None,
-    labelled_only: bool = False,
+    log: LogResults, truth: Truth, options: ScoringOptions = DEFAULT, ids: tuple[int, ...] = ()
 ) -> Matched:
     """Match one log with its truth.
 
-    within_m, labelled_only: as of ScoringOptions; gaps in passes are of labelled frames then, else
-    each of every 20th frame would be a pass. ids: the log's IDs in the wanted order; others are not
-    used. A truth with `visible` 0 is none: nothing of the landmark is in view.
+    ids: the log's IDs in the wanted order; others are not used. If only labelled frames count, gaps
+    in passes are of these, else each of every 20th frame would be a pass. A truth with `visible` 0
+    is none: nothing of the landmark is in view.
     """
     of_set = np.asarray(log.landmarks.ids)
     ids = ids if set(ids) == set(log.landmarks.ids) else log.landmarks.ids
@@ -152,7 +146,7 @@ def match(
         **_position_columns(truth.position, len(seen), seen),
         orientation=np.nan if truth.orientation is None else truth.orientation[seen],
         paper=truth.visible[seen] >= PAPER_MIN_VISIBLE,
-        strict=truth.visible[seen] >= min_visible,
+        strict=truth.visible[seen] >= options.min_visible,
     )
     claims = Table(
         method=np.array([methods.index(name) for name in log.methods], dtype=np.int16)[log.method],
@@ -175,9 +169,9 @@ def match(
         log.stretch,
         truths,
         claims,
-        count=np.arange(len(log.frame)) if labelled_only else log.frame,
+        count=np.arange(len(log.frame)) if options.labelled_only else log.frame,
         probability=probability,
-        gate_m=within_m or log.landmarks.radius_m,
+        gate_m=options.within_m or log.landmarks.radius_m,
         period_deg=dict(zip(log.landmarks.ids, log.landmarks.periods_deg().tolist(), strict=True)),
         placed=not len(seen)
         or (truth.position is not None and (log.position is not None or not count)),

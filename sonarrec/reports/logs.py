@@ -155,7 +155,7 @@ def read_logs(
             truth = match_truth(log.truth, truth_of, options.tolerance_s)
         results = replace(results, name=log.name or results.name)
         if truth is not None:
-            matched = match(results, truth, options.min_visible, within_m=options.within_m)
+            matched = match(results, truth, options)
         passes = [s for s in sightings if s.method == tracker]
         passes.sort(key=lambda s: (s.first_frame, s.last_frame))
         logs.append(ReportedLog(log.folder, results, tracker, matched, passes))

@@ -108,7 +108,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
             same, reason = existing_results(job.folder, run.table)
             if same is not None:
                 return _outcome(
-                    job,
+                    job.folder,
                     methods,
                     same.problems,
                     frames=same.frames_processed,
@@ -129,7 +129,7 @@ def run_log(job: Job, observe: Observe | None = None, report: Report = str) -> O
             about_folder = writer.finish(problems, diagnostics.unusable)
         # Sum up.
         outcome = _outcome(
-            job,
+            job.folder,
             methods,
             problems,
             frames=writer.frames,
@@ -168,15 +168,17 @@ def _recognise(run: PreparedRun, writer: ResultsWriter, observe: Observe | None)
         raise
 
 
-def _outcome(job: Job, methods: Sequence[str], problems: Sequence[str], **counted: Any) -> Outcome:
-    """The outcome of a job that has results, with what is in their sightings.csv.
+def _outcome(
+    folder: Path, methods: Sequence[str], problems: Sequence[str], **counted: Any
+) -> Outcome:
+    """The outcome of a log with results in `folder`, with what their sightings.csv holds.
 
     methods: those that follow objects. counted: other fields.
     """
     passes, landmarks = dict.fromkeys(methods, 0), Counter[int]()
 
     def of_method(method: str) -> Iterator[Sighting]:
-        for sighting in sightings_in(job.folder / "sightings.csv"):
+        for sighting in sightings_in(folder / "sightings.csv"):
             if sighting.method == method:
                 passes[method] += 1
                 if method == methods[0]:
@@ -189,7 +191,7 @@ def _outcome(job: Job, methods: Sequence[str], problems: Sequence[str], **counte
         sightings += sorted(longest, key=lambda s: (s.first_frame, s.last_frame))
     return Outcome(
         status="partial" if problems else "done",
-        folder=job.folder,
+        folder=folder,
         problems=problems,
         passes=passes,
         sightings=sightings,

@@ -242,8 +242,7 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
     from sonarrec.cli.run import found_in
-    from sonarrec.runs.job import Outcome
-    from sonarrec.runs.one import _with_sightings
+    from sonarrec.runs.one import _outcome
 
     start = 1_700_000_000 * 10**9
     with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:
@@ -251,8 +250,7 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
             seen = i % 40 < 1 + i // 40
             writer.write(FrameResult(i, start + i * 10**8, 1, 1, (claim(declared=seen),)))
         writer.finish([])
-    outcome = Outcome("done", tmp_path / "dive", frames=1200, candidates=1200)
-    outcome = _with_sightings(["framework"], outcome)
+    outcome = _outcome(tmp_path / "dive", ["framework"], [], frames=1200, candidates=1200)
     passes, kept, landmarks = outcome.passes, outcome.sightings, outcome.landmarks
     assert passes == {"framework": 30}
     assert [s.frames_declared for s in kept] == list(range(11, 31))

@@ -16,12 +16,13 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray
+from sonarrec.evaluation.rows import DEFAULT
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from sonarrec.landmarks import DrawnSet
 from sonarrec.records import Estimate
 from sonarrec.simulation.truth import Truth
 from tests.studies.learning.plates import SIDE, SIDE_M, apart, random_scene, set_of, stages_of
-from tests.support.simulated import WHOLE, in_processes
+from tests.support.simulated import in_processes
 
 REPORTED = range(5000, 5024)
 """Nothing is learned or chosen on these seeds; 4000 to 4023 are for tuning."""
@@ -84,7 +85,7 @@ def count(seed: int) -> np.ndarray:
             true = [t for t in shot.truth if t.landmark == number]
             said = [e for e in claims if e.landmark == number]
             near = [e for e in said if any(off_m(e, t) <= SIDE_M / 2 for t in true)]
-            whole = any(t.visible >= WHOLE for t in true)
+            whole = any(t.visible >= DEFAULT.min_visible for t in true)
             counted += whole and bool(near), whole, len(near) < len(said), not true
     return counted
 

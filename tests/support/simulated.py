@@ -40,7 +40,6 @@ from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks, Settings
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 PROCESSES = 2
-WHOLE = 0.9  # share of a disc in view from which its frame counts
 PRESETS = ("default", "paper", "offline")
 METHODS = {
     "smi:paper": f"{SMI}:paper",
@@ -107,7 +106,7 @@ def in_processes(work: Callable[[Item], Result], items: Sequence[Item]) -> list[
 def matched(folder: Path) -> Matched:
     """What `recognise` wrote, with its truth."""
     log = read_log(folder)
-    return match(log, match_truth(read_truth(folder / "gt.csv"), log), WHOLE)
+    return match(log, match_truth(read_truth(folder / "gt.csv"), log))
 
 
 def score(folders: Sequence[Path]) -> Counts:
