@@ -13,8 +13,7 @@ from sonarrec.config import Config
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
-from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, rounded_steps
-from sonarrec.recogniser.stage3.smi import Identification
+from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, Identification, rounded_steps
 from sonarrec.records import Estimate
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,

@@ -29,7 +29,6 @@ from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, Reads
 from sonarrec.recogniser.stage3.model_file import built_in_weights
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.reader import Reader
-from sonarrec.recogniser.stage3.smi import identify
 from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Estimate, Fan, Frame, FrameResult, Motion, Selection
 
@@ -111,13 +110,31 @@ class ThreeStages(ABC):
         """Candidate selection (Section 3.2): where could a landmark be?"""
         return self._select(image)
 
-    @abstractmethod
     def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
         """Continuity evaluation (Section 3.3): which candidates are objects that persist?
 
         Frames must come in the log's order. What stage 3 needs of the image is sampled here too, so
         that images need not be kept.
         """
+        # How did the sonar move since the frame before?
+        motion = self.odometry.step(image, frame.timestamp_ns)
+        tracks, shapes = self._follow(image, candidates, motion)
+        return Tracked(
+            index=frame.index,
+            timestamp_ns=frame.timestamp_ns,
+            motion=motion,
+            candidates=candidates.positions,
+            scores=candidates.scores,
+            tracks=tracks,
+            stretch=frame.stretch,
+            shapes=shapes,
+        )
+
+    @abstractmethod
+    def _follow(
+        self, image: ByteImage, candidates: Selection, motion: Motion | None
+    ) -> tuple[Table, tuple[FloatArray, BoolArray] | tuple[()]]:
+        """The tracks in view with their evidence, and the candidates' shapes, as in Tracked."""
 
     def stage3(self, frames: Sequence[Tracked]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
@@ -185,7 +202,7 @@ class DiscStages(ThreeStages):
         )
         self._sample = shape_matrix.ShapeSampler(landmarks, plane.axes)
         codes = shape_matrix.rotated_codes(landmarks)
-        self._identify = partial(identify, bands=self._sample.bands, codes=codes)
+        self._identify = partial(shape_matrix.identify, bands=self._sample.bands, codes=codes)
         if features.measurement == "single":
             self._measurement = PublishedMeasurement(
                 features, self._tracks, self._identify, landmarks, fan.window_m
@@ -213,9 +230,9 @@ class DiscStages(ThreeStages):
             self._measurement.least_frames = 1
             self._estimates.declare = self._declare_alone
 
-    def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
-        # How did the sonar move since the frame before?
-        motion = self.odometry.step(image, frame.timestamp_ns)
+    def _follow(
+        self, image: ByteImage, candidates: Selection, motion: Motion | None
+    ) -> tuple[Table, tuple[FloatArray, BoolArray]]:
         # Track the candidates by groups of particles (Eq. 3 and 4).
         tracks = self._track.step(candidates, motion)
         # Sample the shape matrices (Section 3.4.2) of the candidates, then of the tracks. Those of
@@ -228,16 +245,7 @@ class DiscStages(ThreeStages):
         grey, seen = self._sample(image, self.plane.inside, positions, sight, *levels)
         # Average those of the tracks.
         evidence = self._measurement.gather(grey[n:], seen[n:])
-        return Tracked(
-            index=frame.index,
-            timestamp_ns=frame.timestamp_ns,
-            motion=motion,
-            candidates=candidates.positions,
-            scores=candidates.scores,
-            tracks=tracks.with_columns(**evidence),
-            stretch=frame.stretch,
-            shapes=(grey[:n], seen[:n]),
-        )
+        return tracks.with_columns(**evidence), (grey[:n], seen[:n])
 
     def single_frame_estimates(self, frames: Sequence[Tracked]) -> list[Estimate]:
         if self._smi is None:

@@ -30,6 +30,7 @@ class Tracks(Table):
         """Add columns. new: what each has in a row that begins: values of any shape, (n, ...) in
         the table, or a class, of which every row gets an object of its own."""
         for name, value in new.items():
+            assert name not in self.columns, name
             self._new[name] = np.asarray(value)[None]
             self.columns[name] = self._new[name][:0]
 

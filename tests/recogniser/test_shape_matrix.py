@@ -9,8 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.landmarks import load_landmarks
-from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, ShapeSampler, rotated_codes
-from sonarrec.recogniser.stage3.smi import Identification, identify, otsu_levels
+from sonarrec.recogniser.stage3.shape_matrix import (
+    ANGLES,
+    STEP,
+    Identification,
+    ShapeSampler,
+    identify,
+    otsu_levels,
+    rotated_codes,
+)
 from tests.support.drawn import SECTORS, disc_pattern, draw_ellipse_disc, surroundings
 
 BASIN = load_landmarks("basin")

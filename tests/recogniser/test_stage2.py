@@ -9,10 +9,9 @@ import pytest
 from sonarrec import config
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser import stage2
-from sonarrec.recogniser.particles import Particles
 from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
-from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.stage2 import ContinuityFilter, Particles
 from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Motion, Selection
 from sonarrec.truth.match import share_in_image

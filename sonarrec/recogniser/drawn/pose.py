@@ -46,10 +46,6 @@ MOST_STEP = 0.15  # halves of a side, in one round
 RIDGE = 1e-2  # share of the mean curvature: holds what a drawing says nothing of
 
 
-Drawing = tuple[int, int]
-"""(row, way), as in Drawings."""
-
-
 @dataclass(frozen=True, slots=True)
 class Fit:
     """A pose, and the drawing that fits there."""

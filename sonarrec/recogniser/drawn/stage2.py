@@ -8,14 +8,14 @@ as a blank ping, the pose waits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage, Table
 from sonarrec.landmarks import WIDEST_SIGMA
-from sonarrec.recogniser.drawn.pose import EXPLAINED, Drawing, Fit, PoseFitter
+from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Motion, Selection
@@ -40,29 +40,19 @@ def smooth(image: ByteImage) -> FloatImage:
     return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
 
 
-@dataclass
-class _Plate:
-    """A group's plate."""
-
-    fit: Fit
-    seen: bool
-    """In the frame at hand."""
-    began: int
-    """How often its pose was looked for and changed: each time another picture begins."""
-    missed: int = 0
-
-
 class Plates:
     """The groups, and the poses of their plates.
 
-    Its columns of the tracks: plate: (n,) the _Plate, or None. age: (n,) frames in view. searched:
-    (n,) how often the pose was looked for.
+    Its columns of the tracks: fit: (n,) the last Fit of the plate, None where none is known; seen:
+    (n,) whether it is of this frame, and unseen: (n,) frames since. began: (n,) how often another
+    pose was found: each time another picture begins. age: (n,) frames in view. searched: (n,) how
+    often the pose was looked for.
     """
 
     def __init__(self, fitter: PoseFitter, tracks: Tracks, groups: ContinuityFilter) -> None:
         self._fitter, self._plane, self._groups = fitter, fitter.plane, groups
         self._tracks = tracks
-        tracks.declare(plate=None, age=-1, searched=0)
+        tracks.declare(fit=None, seen=False, unseen=0, began=0, age=-1, searched=0)
 
     def step(self, image: ByteImage, selection: Selection, motion: Motion | None) -> Table:
         """The tracks in view after one frame, each in the middle of its plate.
@@ -77,22 +67,24 @@ class Plates:
 
     def follow(self, image: FloatImage) -> list[Fit]:
         """Fit every known plate in the next frame. Returns those that are seen, the best first."""
-        plates = self._tracks["plate"]
-        known = [(row, plate) for row, plate in enumerate(plates) if plate is not None]
-        fits = self._fitter.near(image, [plate.fit for _, plate in known])
-        for (_, plate), fit in zip(known, fits, strict=True):
-            plate.seen = self._is_clear(fit, LEAST_NEAR)
-            plate.missed = 0 if plate.seen else plate.missed + 1
-            if plate.seen:
-                plate.began += (fit.row, fit.way) != (plate.fit.row, plate.fit.way)
-                plate.fit = fit
+        tracks = self._tracks
+        fits = tracks["fit"]
+        known = [row for row, fit in enumerate(fits.tolist()) if fit is not None]
+        followed = self._fitter.near(image, [fits[row] for row in known])
+        for row, fit in zip(known, followed, strict=True):
+            tracks["unseen"][row] += 1
+            if self._is_clear(fit, LEAST_NEAR):
+                fits[row], tracks["unseen"][row] = fit, 0
         # Plates do not overlap: of two the better fit stays.
         seen: list[Fit] = []
-        for row, plate in sorted(known, key=lambda item: -item[1].fit.odds):
-            if plate.missed > LOST_FRAMES or self._overlaps(plate.fit, [f.pose for f in seen]):
-                plates[row] = None
-            elif plate.seen:
-                seen.append(plate.fit)
+        for fit, row in sorted(
+            zip(fits[known], known, strict=True), key=lambda pair: -pair[0].odds
+        ):
+            others = [other.pose for other in seen]
+            if tracks["unseen"][row] > LOST_FRAMES or self._overlaps(fit, others):
+                fits[row], tracks["seen"][row] = None, False
+            elif tracks["seen"][row]:
+                seen.append(fit)
         return seen
 
     def lead(self, selection: Selection, seen: Sequence[Fit]) -> Selection:
@@ -115,51 +107,38 @@ class Plates:
     def search_plates(self, image: FloatImage) -> None:
         """Look for the plates of new tracks, and put each track in the middle of its plate."""
         tracks, lost, rows = self._tracks, self._tracks["remembered"], self._tracks.in_view
-        tracks["plate"][lost], tracks["age"][lost], tracks["searched"][lost] = None, -1, 0
+        tracks["fit"][lost], tracks["seen"][lost] = None, False
+        tracks["age"][lost], tracks["searched"][lost] = -1, 0
         tracks["age"][rows] += 1
         waiting = sorted((tracks["searched"][row], row) for row in rows if self._wanting(row))
         new = bool(waiting) and waiting[0][0] < FIRST
         for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]:
             tracks["searched"][row] += 1
             self._search(image, row)
-        for row, plate in zip(rows, tracks["plate"][rows], strict=True):
-            if plate is not None and plate.seen:
-                tracks["position"][row], tracks["spread"][row] = plate.fit.pose[:2], POSE_SPREAD
-            else:
-                tracks["shown"][row] = False
-
-    def in_view(self) -> list[tuple[Fit, int] | None]:
-        """Of each track in view the fit in this frame, and the number of its picture; None: not
-        seen."""
-        plates = self._tracks["plate"][self._tracks.in_view]
-        return [(p.fit, p.began) if p is not None and p.seen else None for p in plates]
-
-    def follow_by(self, drawings: Sequence[Drawing | None]) -> None:
-        """Follow each track in view by this drawing from now on; None: by the one it has."""
-        for plate, drawing in zip(
-            self._tracks["plate"][self._tracks.in_view], drawings, strict=True
-        ):
-            if drawing is not None:
-                plate.fit = replace(plate.fit, row=drawing[0], way=drawing[1])
+        seen = rows[tracks["seen"][rows]]
+        for row in seen:
+            tracks["position"][row] = tracks["fit"][row].pose[:2]
+        tracks["spread"][seen] = POSE_SPREAD
+        tracks["shown"] &= tracks["seen"]
 
     def _wanting(self, row: int) -> bool:
         """Whether the pose of a track's plate is to be looked for."""
-        plate, age = self._tracks["plate"][row], self._tracks["age"][row]
-        sure = plate is not None and plate.seen and plate.fit.odds >= SURE
-        return bool(self._tracks["searched"][row] < FIRST or (not sure and age % OFTEN == 0))
+        tracks = self._tracks
+        sure = tracks["seen"][row] and tracks["fit"][row].odds >= SURE
+        return bool(
+            tracks["searched"][row] < FIRST or (not sure and tracks["age"][row] % OFTEN == 0)
+        )
 
     def _search(self, image: FloatImage, row: int) -> None:
-        plates = self._tracks["plate"]
-        plate = plates[row]
-        others = [p.fit.pose for p in plates if p is not None and p is not plate]
-        position = self._tracks["position"][row] if plate is None else plate.fit.pose[:2]
+        tracks, known = self._tracks, self._tracks["fit"][row]
+        others = [fit.pose for fit in tracks["fit"] if fit is not None and fit is not known]
+        position = tracks["position"][row] if known is None else known.pose[:2]
         fit = self._fitter.search(image, position, others)
         if not self._is_clear(fit, LEAST_MATCH) or self._overlaps(fit, others):
             return
-        if plate is None:
-            plates[row] = _Plate(fit, seen=True, began=0)
-        elif not plate.seen or fit.odds > plate.fit.odds + BETTER:
-            plates[row] = _Plate(fit, seen=True, began=plate.began + 1)
+        if known is None or not tracks["seen"][row] or fit.odds > known.odds + BETTER:
+            tracks["began"][row] = 0 if known is None else tracks["began"][row] + 1
+            tracks["fit"][row], tracks["seen"][row], tracks["unseen"][row] = fit, True, 0
 
     def _overlaps(self, fit: Fit, others: Sequence[FloatArray]) -> bool:
         """Whether a fit lies on another plate. others: poses."""

@@ -7,12 +7,13 @@ these' among them; those of a track's frames are pooled as those of discs are.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sonarrec.arrays import Columns, FloatArray, FloatImage, Table, stacked
 from sonarrec.recogniser.drawn.drawings import FINE, best, levelled, uneven_light
-from sonarrec.recogniser.drawn.pose import Drawing, Fit, PoseFitter
+from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.stage3 import Beliefs, likeliest
 from sonarrec.recogniser.stage3.opinions import Opinion, pooled
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG
@@ -33,13 +34,10 @@ class PlateMeasurement:
         self._memory = memory_frames
         tracks.declare(picture=_Averaged, opinion=Opinion)
 
-    def gather(
-        self, fits: Sequence[tuple[Fit, int] | None]
-    ) -> tuple[Columns, list[Drawing | None]]:
+    def gather(self) -> Columns:
         """Add the pictures of a frame's plates to the averages of their tracks.
 
-        fits: of each track in view, and the number of its picture; None: not seen. Gives the
-        evidence, and of each track that is seen the drawing that its average matches best.
+        Each plate is followed from now on by the drawing that its average matches best.
 
         The evidence: frames: (n,) with a picture. matches: (n, K) of the averaged picture with each
         ID. rival: (n,) with the best of the random drawings; 0 where the plate is not seen. odds:
@@ -50,13 +48,15 @@ class PlateMeasurement:
         tracks, rows = self._tracks, self._tracks.in_view
         for row in np.flatnonzero(tracks["remembered"]):
             tracks["picture"][row] = _Averaged()
+        for row in rows[tracks["seen"][rows]]:
+            average, fit = tracks["picture"][row], tracks["fit"][row]
+            way = self._add(average, fit, tracks["began"][row])
+            tracks["fit"][row] = replace(fit, row=int(average.matches.argmax()), way=way)
         averaged = tracks["picture"][rows]
-        for average, of_frame in zip(averaged, fits, strict=True):
-            if of_frame is not None:
-                self._add(average, *of_frame)
+        fits = [tracks["fit"][row] if tracks["seen"][row] else None for row in rows]
         k, n = self._drawings.count, len(rows)
         sight = self._fitter.plane.line_of_sight(tracks["position"][rows])
-        evidence = {
+        return {
             "opinion": tracks["opinion"][rows],
             "episode": np.zeros(n, int),
             "frames": np.array([t.frames for t in averaged], int),
@@ -69,8 +69,6 @@ class PlateMeasurement:
             "beyond_deg": np.degrees(sight).astype(np.float32),
             "corners": np.array([self._corners(f) for f in fits]).reshape(n, 4, 2),
         }
-        best = [None if f is None else t.best for f, t in zip(fits, averaged, strict=True)]
-        return evidence, best
 
     def beliefs(self, frames: Sequence[Table]) -> Beliefs:
         """Beliefs about the tracks of consecutive frames, by their evidence."""
@@ -90,17 +88,20 @@ class PlateMeasurement:
         corners = np.take_along_axis(corners, order[:, :, None], axis=1)
         return Beliefs(probabilities, rotation / STEP_DEG, sigma, enough_evidence, corners)
 
-    def _corners(self, of_frame: tuple[Fit, int] | None) -> FloatArray:
-        if of_frame is None:
+    def _corners(self, fit: Fit | None) -> FloatArray:
+        if fit is None:
             return np.full((4, 2), np.nan)
-        corners = self._fitter.corners(of_frame[0].pose)
-        return corners if np.linalg.det(of_frame[0].pose[2:].reshape(2, 2)) > 0 else corners[::-1]
+        corners = self._fitter.corners(fit.pose)
+        return corners if np.linalg.det(fit.pose[2:].reshape(2, 2)) > 0 else corners[::-1]
 
     def _of_ids(self, values: FloatImage) -> FloatImage:
         return values if len(values) else np.zeros(self._drawings.count, np.float32)
 
-    def _add(self, track: _Averaged, fit: Fit, began: int) -> None:
-        """Add a fit's picture to a track's average, and compare that with the drawings."""
+    def _add(self, track: _Averaged, fit: Fit, began: int) -> int:
+        """Add a fit's picture to a track's average, and compare that with the drawings.
+
+        Returns the way in which it shows that of the ID that it matches best.
+        """
         if began != track.began:
             track.picture, track.weight = np.zeros((FINE, FINE), np.float32), 0.0
             track.began, track.frames = began, 0
@@ -116,12 +117,12 @@ class PlateMeasurement:
         k = self._drawings.count
         track.matches, track.rival = match[:k], float(match[k:].max())
         ways = np.array(self._drawings.ways)[column]
-        track.best = int(track.matches.argmax()), int(ways[track.matches.argmax()])
         across, down = fit.pose[2:].reshape(2, 2).T
         right = np.array([(1, 0), (0, -1), (-1, 0), (0, 1)])[ways[:k] % 4]
         right = np.where(ways[:k, None] >= 4, -right, right)
         x, y = right @ np.stack([across, down])[:, 0], right @ np.stack([across, down])[:, 1]
         track.orientation_deg = np.degrees(np.arctan2(-y, x)).astype(np.float32)
+        return int(ways[track.matches.argmax()])
 
 
 class _Averaged:
@@ -133,4 +134,3 @@ class _Averaged:
         self.matches: FloatImage = np.empty(0, np.float32)
         self.orientation_deg: FloatImage = np.empty(0, np.float32)
         self.rival = self.odds = 0.0
-        self.best: Drawing | None = None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatImage
+from sonarrec.arrays import ByteImage, FloatImage, Table
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
@@ -23,9 +23,9 @@ from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector, Levels, ScoreMaps, upsample
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
-from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages, Tracked
+from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Fan, Frame, Selection
+from sonarrec.records import Fan, Motion, Selection
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
 
@@ -61,24 +61,13 @@ class PlateStages(ThreeStages):
         self._measurement = PlateMeasurement(fitter, self._tracks, features.memory_frames)
         self._estimates = Estimates(config, plane, landmarks)
 
-    def stage2(self, frame: Frame, image: ByteImage, candidates: Selection) -> Tracked:
-        # How did the sonar move since the frame before?
-        motion = self.odometry.step(image, frame.timestamp_ns)
+    def _follow(
+        self, image: ByteImage, candidates: Selection, motion: Motion | None
+    ) -> tuple[Table, tuple[()]]:
         # Track the candidates by groups of particles (Eq. 3 and 4), and fit a pose to each plate.
         tracks = self._plates.step(image, candidates, motion)
-        # Average the pictures of the plates along their tracks. Each is followed by the drawing
-        # that its average matches best.
-        evidence, drawings = self._measurement.gather(self._plates.in_view())
-        self._plates.follow_by(drawings)
-        return Tracked(
-            index=frame.index,
-            timestamp_ns=frame.timestamp_ns,
-            motion=motion,
-            candidates=candidates.positions,
-            scores=candidates.scores,
-            tracks=tracks.with_columns(**evidence),
-            stretch=frame.stretch,
-        )
+        # Average the pictures of the plates along their tracks.
+        return tracks.with_columns(**self._measurement.gather()), ()
 
 
 def pose_fitter(config: Config, fan: Fan, landmarks: DrawnSet) -> PoseFitter:

@@ -56,17 +56,11 @@ class _Preset:
         if self.hindsight is not None:
             self.hindsight.learn(results[self._number])
             self._unrevised.append(results)
-            self._revise(self.hindsight.lag)
+            self.revise(self.hindsight.lag)
 
-    def finish(self) -> None:
-        """Revise all results that wait: no more frames follow."""
-        if self.hindsight is not None:
-            self._revise(0)
-
-    def _revise(self, most: int) -> None:
+    def revise(self, most: int) -> None:
         """Revise the oldest results until at most so many wait for it."""
-        assert self.hindsight is not None
-        while len(self._unrevised) > most:
+        while self.hindsight is not None and len(self._unrevised) > most:
             results = self._unrevised.popleft()
             results[self._number] = self.hindsight.revised(results[self._number])
 
@@ -118,10 +112,9 @@ class SideBySide:
         self._rings = [s for c, s in by_stages.items() if c.candidates.detector == "ring"]
         self._lag = max(config.features.lag_frames for config in configs)
         self._tracked: list[dict[ThreeStages, Tracked]] = []  # frames that wait for stage 3
-        # Ctrl-C may come at any moment; `waiting` goes on from there. An element is the results of
-        # a frame, one of each preset.
-        self._new: deque[list[FrameResult]] = deque()  # out of stage 3
-        self._pending: deque[list[FrameResult]] = deque()  # which the presets have learned
+        # Results that wait, a list of one frame's, one of each preset. Ctrl-C may come at any
+        # moment; `waiting` goes on from here.
+        self._pending = deque[list[FrameResult]]()
         self._unchanging = Unchanging()
         self._levels = Levels(landmarks.radius_m)
         self.sizes = RingSizes(landmarks)
@@ -145,7 +138,8 @@ class SideBySide:
             self._tracked.append(self._track(frame))
             count += 1
             if len(self._tracked) == FRAMES_AT_ONCE:
-                yield from self._after_stage3()
+                self._judge()
+                yield from self._final(self._lag)
         if count == 1 and not broken:
             for stages in self._stages:
                 stages.judge_alone()
@@ -164,27 +158,26 @@ class SideBySide:
         self.sizes.inspect(frame, best)
         return tracked
 
-    def _after_stage3(self) -> Iterator[FrameResult]:
-        """Stage 3 of the frames that wait for it; the results that are final by then."""
+    def _judge(self) -> None:
+        """Stage 3 of the frames that wait for it, and what hindsight makes of them."""
         tracked, self._tracked = self._tracked, []
-        if tracked:
-            by_stages = {s: s.stage3([frame[s] for frame in tracked]) for s in self._stages}
-            self._new.extend(
-                [preset.own(by_stages[preset.stages][n]) for preset in self._presets]
-                for n in range(len(tracked))
-            )
-        while self._new:
-            self._pending.append(self._new[0])  # if stopped here, it is there twice, but not lost
-            results = self._new.popleft()
+        if not tracked:
+            return
+        by_stages = {s: s.stage3([frame[s] for frame in tracked]) for s in self._stages}
+        new = [
+            [preset.own(by_stages[preset.stages][n]) for preset in self._presets]
+            for n in range(len(tracked))
+        ]
+        self._pending.extend(new)
+        for results in new:
             for preset in self._presets:
                 preset.learn(results)
-            yield from self._final(self._lag)
 
     def waiting(self) -> Iterator[FrameResult]:
         """Yield the results that wait at the end of the frames, revised by all frames so far."""
-        yield from self._after_stage3()
+        self._judge()
         for preset in self._presets:
-            preset.finish()
+            preset.revise(0)
         yield from self._final(0)
 
     def report(self, diagnostics: Diagnostics) -> None:

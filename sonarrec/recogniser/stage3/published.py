@@ -14,7 +14,7 @@ from sonarrec.arrays import BoolArray, Columns, FloatArray, Table, stacked
 from sonarrec.config import Features
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3 import Beliefs
-from sonarrec.recogniser.stage3.smi import Identification, without_none
+from sonarrec.recogniser.stage3.shape_matrix import Identification, without_none
 from sonarrec.recogniser.tracks import Tracks
 
 # Measurement models, rows k = true ID, columns j = measured ID.

@@ -11,8 +11,7 @@ from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
 from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
-from sonarrec.recogniser.stage3.smi import identify
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, identify, rotated_codes
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
 from sonarrec.records import Estimate, Fan, Frame, Selection
 

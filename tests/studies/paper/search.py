@@ -28,8 +28,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage3.published import TABLE_3
-from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, rotated_codes
-from sonarrec.recogniser.stage3.smi import identify
+from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, identify, rotated_codes
 from sonarrec.simulation.objects import object_radius
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, position_of, scene_fan
