@@ -40,7 +40,7 @@ demo: .venv/program  # the sample log, from images to tables
 	$(BIN)/sonarrec evaluate --ground-truth $(SAMPLE)/gt.csv build/demo/$(notdir $(SAMPLE))
 
 bench: .venv/installed  # cost per frame and memory, beside PNG decoding and a plain loop
-	$(BIN)/python -m tests.studies.bench --record bench
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m tests.studies.bench --record bench
 
 scale: .venv/installed  # a thousand logs, killed; how cost grows, long logs (over half an hour)
 	$(BIN)/python -m tests.studies.scale --record scale

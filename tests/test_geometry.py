@@ -15,6 +15,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.geometry import (
     MAX_SIDE,
     PolarToFan,
+    Resampling,
     fan_for_image,
     fan_for_polar,
     fan_mask,
@@ -152,6 +153,22 @@ def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
     assert np.abs(found - expected).max() <= 16
     assert np.abs(found - expected).mean() < 2
     assert ((found == 0) | (expected > 0)).all()
+
+
+@pytest.mark.parametrize("side", [100, 700])
+def test_every_filled_pixel_is_resampled_and_no_other(side: int) -> None:
+    """Also in images so large that they are resampled in parts."""
+    rng = np.random.default_rng(side)
+    image = rng.integers(1, 256, (90, 80), dtype=np.uint8)
+    row, column = np.mgrid[:side, :side]
+    seen = (row - side / 2) ** 2 + (column - side / 3) ** 2 < (side / 3) ** 2
+    resampling = Resampling((side, side))
+    steps = [0, side // 3, side // 2 + 5, side]
+    for band in map(slice, steps, steps[1:]):
+        x, y = rng.integers(0, 80, (side, side)), rng.integers(0, 90, (side, side))
+        resampling.fill(band, x[band].astype(float), y[band].astype(float), seen[band])
+        expected = np.where(seen, image[y, x], 0)
+        np.testing.assert_array_equal(resampling(image)[band], expected[band])
 
 
 def test_bearings_must_match_the_beams() -> None:

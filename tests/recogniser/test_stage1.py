@@ -101,6 +101,22 @@ def test_of_several_discs_all_are_found_best_first_and_apart(kind):
     assert distance.min() >= DETECTORS[kind].separation - 1e-6
 
 
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 60), most=st.integers(1, 40))
+def test_kept_peaks_are_those_of_a_comparison_of_all(seed, count, most):
+    _, select = SELECTORS["ring"]
+    across, along = select._diameter
+    side = select._config.separation * across
+    positions = np.random.default_rng(seed).uniform(-side, 6 * side, (count, 2))
+    kept: list[int] = []
+    for i, (x, y) in enumerate(positions):
+        offsets = [
+            math.hypot((x - u) / across, (y - v) / along) for u, v in positions[kept].tolist()
+        ]
+        if len(kept) < most and min(offsets, default=math.inf) >= select._config.separation:
+            kept.append(i)
+    assert select._suppress_neighbours(positions, most) == kept
+
+
 def test_peaks_at_the_edge_of_an_image_that_is_not_whole_blocks_are_scored():
     """As in a part of a mean: whatever is in the last rows and columns lies in the image."""
     plane, _ = selector("ring", make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5))
