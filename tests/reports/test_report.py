@@ -55,6 +55,19 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
             assert told in re.sub(r"\s+", "", page.text)
 
 
+def test_false_claims_are_told_per_100_frames(pages: dict[str, Path], results: Path) -> None:
+    """Of each method, protocol strict first; so many are the frames of its results."""
+    frames = len(read_rows(results / "frames.csv"))
+    counts = evaluate(results, SAMPLE / "gt.csv").counts
+    rows = next(
+        rows for caption, rows in Page(pages["full"]).tables.items() if "per 100" in caption
+    )
+    cells = {row[0]: row[1:] for row in rows}
+    for method in ("smi", "framework"):
+        false = [counts.count(method, protocol).fp for protocol in ("strict", "paper")]
+        assert [cells[method][n] for n in (4, 9)] == [f"{100 * fp / frames:.2f}" for fp in false]
+
+
 def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
     """That one is the page's own, by the hash that its policy asks for; without frames none."""
     for name, path in pages.items():
