@@ -150,7 +150,8 @@ def test_angles_in_radians_are_told(here: Path, key: str, value: float) -> None:
     assert "in radians" not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
 
 
-def test_a_run_of_one_frame_has_no_hints_that_cannot_help(here: Path) -> None:
+@pytest.mark.usefixtures("here")
+def test_a_run_of_one_frame_has_no_hints_that_cannot_help() -> None:
     words = ("--frames", "1:2", "--set", "features.declare_alone=1", "-q")
     told = sonarrec("run", "dive", *words).stderr
     assert "single frame" in told
