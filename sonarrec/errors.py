@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 AnyPath = TypeVar("AnyPath")
+MOST_NAMES = 10_000  # of a folder, among which a similar one is looked for
+LEAST_SIMILARITY = 0.7  # of difflib's ratio
 
 
 def printable(text: object) -> str:
@@ -39,6 +43,34 @@ class UsageError(SonarrecError):
 
 class MissingError(UsageError):
     """An input that is not there."""
+
+
+def similar_name(path: Path) -> str:
+    """What may have been meant by a path that is not there, as the end of a message; or empty."""
+    from difflib import get_close_matches  # only where something is wrong
+
+    while not path.parent.exists() and path.parent != path:
+        path = path.parent
+    try:
+        names = [entry.name for entry in islice(os.scandir(path.parent), MOST_NAMES)]
+    except OSError:
+        return ""
+    if spaced := [name for name in names if path.name in name.split()]:
+        return f"; a name with spaces needs quotes: {shlex.quote(str(path.parent / spaced[0]))}"
+    known = {Path(name).stem.casefold(): name for name in names}
+    known |= {name.casefold(): name for name in names}
+    near = get_close_matches(path.name.casefold(), known, 1, LEAST_SIMILARITY)
+    return f"; did you mean {path.parent / known[near[0]]}?" if near else ""
+
+
+def plain_number(text: object) -> str:
+    """How a text is written as a number, as the end of a message; empty: it is none."""
+    number = re.fullmatch(r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+))\s*(\S*)\s*", str(text))
+    if not number:
+        return ""
+    if number[2]:
+        return "; write the number alone, in the unit that is asked for"
+    return f"; write {number[1].replace(',', '.')}"
 
 
 @contextmanager

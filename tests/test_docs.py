@@ -282,6 +282,15 @@ def test_the_readme_is_at_most_115_lines() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 115
 
 
+@pytest.mark.parametrize("command", ["demo", "test"])
+def test_the_readme_has_what_each_command_that_installs_needs_and_takes(command: str) -> None:
+    text = README.read_text(encoding="utf-8").partition("## Install")[2].partition("\n## ")[0]
+    (line,) = [line for line in text.splitlines() if line.startswith(f"- `make {command}`")]
+    about = line + text.partition(line)[2].partition("\n- ")[0]
+    assert re.search(r"\bminutes?\b", about)
+    assert re.search(r"[\d.]+ [MG]B", about)
+
+
 def test_help_is_short_and_options_are_few() -> None:
     """The ceilings of the last cut; they only fall."""
     counts = {}

@@ -35,21 +35,21 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1068,
-    "cli": 3067,
+    "advice": 1085,
+    "cli": 3098,
     "drawing": 696,
     "evaluation": 3098,
     "geometry": 437,
     "learning": 524,
     "mapping": 1466,
     "overlays": 633,
-    "readers": 6390,
+    "readers": 6399,
     "recogniser": 5679,
     "reports": 2673,
-    "results": 1972,
+    "results": 1979,
     "runs": 1611,
     "simulation": 2614,
-    "tables": 1016,
+    "tables": 1063,
     "truth": 1219,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

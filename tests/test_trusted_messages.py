@@ -101,7 +101,8 @@ def test_the_range_order_that_was_tried_is_not_offered(
     log = Path("my dives") / f"{folder} 'a'"
     log.mkdir(parents=True)
     shutil.copy(SAMPLES / folder / "sonar.toml", log)
-    nothing_in(Path(shutil.copy(SAMPLES / folder / "000040.png", log)))
+    for name in ("000040.png", "000041.png"):
+        nothing_in(Path(shutil.copy(SAMPLES / folder / name, log)))
     out = Path("my results")
     told = sonarrec("run", log, "-o", out, "--range-order", tried, "-q").stderr
     assert f"--range-order {offered}" in told

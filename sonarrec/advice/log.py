@@ -38,6 +38,8 @@ def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
     yield from map(Advice, contradictions(first, log.sonar))
     if log.fan is not None and (steep := _steep(log.sonar, log.fan.tilt_deg)):
         yield Advice(steep)
+    if log.fan is not None:
+        yield from map(Advice, _in_radians(log.sonar, log.fan))
 
 
 def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
@@ -47,7 +49,9 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     """
     log, fan, landmarks = run.log, run.fan, run.landmarks
     static, saturated, cause = run.recogniser.restored
-    doubts = contradictions(run.first, log.sonar)
+    small = [*_in_radians(log.sonar, fan)]
+    yield from map(Advice, small)
+    doubts = [] if small else contradictions(run.first, log.sonar)
     narrow = _too_narrow(fan, landmarks)  # which explains what the notes it omits would ask
     if doubts:
         yield Advice(f"{'; '.join(doubts)}; {_preview(run)} shows it")
@@ -74,7 +78,7 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     alone = len(run.first) == 1
     if log.untimed and not alone:
         yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
-    if has_sightings or narrow or not run.recogniser.tracking:
+    if has_sightings or narrow or small or not run.recogniser.tracking:
         return
     if alone:
         yield Advice(_of_one_frame(run))
@@ -177,6 +181,19 @@ def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
         f"height {sonar.height_m:g} m puts the sonar almost straight above the floor "
         f"(tilt {tilt_deg:.0f} deg); is it in metres?"
     )
+
+
+def _in_radians(sonar: Sonar, fan: Fan) -> Iterator[str]:
+    """Which stated angles are so small that they may be in radians."""
+    angles = {"field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg}
+    if sonar.tilt_deg is not None and sonar.tilt_deg % 1:  # 1 deg is one, and 0 is level
+        angles["tilt_deg"] = sonar.tilt_deg
+    for name, angle, most in zip(angles, angles.values(), (math.pi, math.pi / 2), strict=False):
+        if 0 < angle <= most:
+            yield (
+                f"{name} is {angle:.3g}, which is very small; if it is in radians, write "
+                f"{math.degrees(angle):.3g}"
+            )
 
 
 def _again(run: PreparedRun, *options: str) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.errors import UsageError, refuse_url
+from sonarrec.errors import UsageError, plain_number, refuse_url, similar_name
 
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
@@ -52,7 +52,13 @@ class _Local(click.Path):
     """A local path; URLs are refused, as they would create a local folder `s3:`."""
 
     def convert(self, value: Any, *context: Any) -> Any:
-        return super().convert(_readable(value) if self.exists else refuse_url(value), *context)
+        name = _readable(value) if self.exists else refuse_url(value)
+        try:
+            return super().convert(name, *context)
+        except click.BadParameter as error:
+            if Path(name).exists():
+                raise
+            self.fail(f"{error.message.removesuffix('.')}{similar_name(Path(name))}", *context)
 
 
 class ListFile(click.File):
@@ -69,13 +75,27 @@ FOLDER = _Local(file_okay=False, path_type=Path)
 ANY = _Local(path_type=Path)
 
 
+class Number(click.types.FloatParamType):
+    """A number; of another text the fault says how to write it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number{plain_number(value)}", param, ctx)
+
+
 class FiniteRange(click.FloatRange):
     """A number within bounds. nan is refused, which no bound shuts out, and infinity."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        value = NUMBER.convert(value, param, ctx)
         if not math.isfinite(float(number := super().convert(value, param, ctx))):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
+
+
+NUMBER = Number()
 
 
 class GroupedOption(click.Option):
@@ -107,6 +127,13 @@ class GroupedCommand(click.Command):
                 raise
             message = f"{error.message} {advice}"
             raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None
+        except click.UsageError as error:
+            if "extra argument" not in error.message:
+                raise
+            truth = any(param.name == "ground_truth" for param in self.params[1:])
+            how = ", a ground truth is given with --ground-truth" if truth else ""
+            message = f"{error.message}; a name with spaces needs quotes{how}"
+            raise click.UsageError(message, ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         rows: dict[str, list[tuple[str, str]]] = {g: [] for g in (FIRST, *GROUPS, "Other")}

@@ -16,6 +16,7 @@ from sonarrec.cli.groups import (
     ANY,
     EXISTING,
     FILE,
+    NUMBER,
     Decorator,
     FiniteRange,
     ListFile,
@@ -150,9 +151,9 @@ def _flag(key: str) -> str:
 
 _GEOMETRY = {
     "layout": _choice("layout", "fan polar", "Layout of the images."),
-    **{k: in_geometry(_flag(k), type=float, help=text) for k, text in GEOMETRY_TEXTS.items()},
+    **{k: in_geometry(_flag(k), type=NUMBER, help=text) for k, text in GEOMETRY_TEXTS.items()},
     "apex_px": in_geometry(
-        "--apex-px", type=float, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image, pixels."
+        "--apex-px", type=NUMBER, nargs=2, metavar="COLUMN ROW", help="Apex of a fan image, pixels."
     ),
     "bearings_deg": in_geometry(
         "--bearings-deg", metavar="B,B,...", help="One bearing per beam of a polar image, deg."
@@ -281,19 +282,19 @@ method = in_input(
 _SCORING = {
     "min_visible": in_scoring(
         "--min-visible",
-        type=float,
+        type=NUMBER,
         default=0.9,
         help="Strict: least share of the disc in view; with less a landmark is ignored.",
     ),
     "within_m": in_scoring(
         "--within within_m",
-        type=float,
+        type=NUMBER,
         metavar="M",
         help="Strict: how far a claim may lie from the truth, m.  [default: half a disc]",
     ),
     "tolerance_s": in_scoring(
         "--tolerance tolerance_s",
-        type=float,
+        type=NUMBER,
         metavar="SECONDS",
         help="Longest time from a row of truth to its frame.  [default: half a frame]",
     ),

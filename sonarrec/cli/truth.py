@@ -17,6 +17,7 @@ from sonarrec.cli.groups import (
     EXISTING,
     FILE,
     NEW_FILE,
+    NUMBER,
     FiniteRange,
     GroupedCommand,
     file_names,
@@ -169,6 +170,8 @@ def check(
       sonarrec truth check pings/
       sonarrec truth check labelled/ camp/
     """
+    if log is not None and log.lower().endswith(".csv") and ground_truth.suffix.lower() != ".csv":
+        raise UsageError(f"{log} and {ground_truth}: name the table first, then the log")
     from sonarrec.advice.rows import check_truth
     from sonarrec.readers import open_log
     from sonarrec.readers.open import find_log
@@ -234,7 +237,7 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
 @options.method
 @in_scoring(
     "--min-score",
-    type=float,
+    type=NUMBER,
     default=0.9,
     help="A track is proposed only if its best score reaches this.",
 )

@@ -116,10 +116,10 @@ def find_truths(
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     if truths is None:
-        results, each = f"{len(pairs)} logs", "each"
+        line = f"each of {len(pairs)} logs has its own ground truth, the first "
         if len(pairs) == 1:
-            results, each = str(pairs[0].results), "its log"
-        diagnostics.note(f"{results}: ground truth {pairs[0].ground_truth}, beside {each}")
+            line = f"{pairs[0].results}: next to its log lies the ground truth "
+        diagnostics.note(f"{line}{pairs[0].ground_truth}")
     return pairs
 
 

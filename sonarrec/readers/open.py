@@ -22,6 +22,7 @@ from sonarrec.errors import (
     UsageError,
     command_line,
     name_as_text,
+    similar_name,
 )
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
@@ -33,6 +34,7 @@ from sonarrec.readers.raw import RawLog, Recording
 from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART
 from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables import natural_order, something_else
+from sonarrec.tables.toml import read_toml
 
 SONAR_FILE = "sonar.toml"
 LANDMARKS_FILE = "landmarks.toml"
@@ -283,7 +285,7 @@ def _find(path: Path, up_to: Path | None) -> Source:
     else:
         server = re.match(r"[A-Za-z][A-Za-z0-9+.-]+:/", str(path))
         only = "; only `run` reads from servers" if server else ""
-        raise MissingError(f"{path}: no such file or folder{only}")
+        raise MissingError(f"{path}: no such file or folder{only or similar_name(path)}")
     return Source(path, results_name(name), files, reader, about, up_to)
 
 
@@ -309,7 +311,9 @@ def _why_no_log(folder: Path) -> str:
     for candidate in (folder, *entries):
         if all(os.access(candidate / name, os.R_OK) for name in ("run.toml", "frames.csv")):
             shown = command_line("report", folder)
-            return f"{folder}: this is a folder of results, not a log; {shown} shows them"
+            log = read_toml(candidate / "run.toml").get("input", {}).get("path")
+            its_log = f"; the log is {log}" if isinstance(log, str) and candidate == folder else ""
+            return f"{folder}: this is a folder of results, not a log; {shown} shows them{its_log}"
     if logs := sorted(filter(is_log_file, entries), key=natural_order):
         return (
             f"{folder}: a folder of {len(logs)} logs, {logs[0].name} the first; open each by itself"
@@ -355,6 +359,11 @@ def _reader_of(path: Path) -> Reader:
             how = "export images, a video or an MCAP (sonarrec help formats)"
             raise SonarrecError(f"{path}: a recording of {_NOT_READ[mark]}, not read here; {how}")
     if reader is None:
+        if path.suffix.lower() == ".csv":
+            raise SonarrecError(
+                f"{path}: a table, not a log; a ground truth lies next to its log or is given with "
+                "--ground-truth"
+            )
         raise SonarrecError(
             f"{path}: not a kind of log this program reads "
             f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"

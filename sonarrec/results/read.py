@@ -30,6 +30,7 @@ from sonarrec.errors import (
     command_line,
     number_of,
     printable,
+    similar_name,
 )
 from sonarrec.geometry import pixel_from_polar, plane_position, polar_from_pixel
 from sonarrec.landmarks import DrawnSet, LandmarkSet
@@ -128,6 +129,12 @@ def find_logs(results: Path) -> list[Path]:
         part = part_of(results)
         has_frames = (part / "frames.csv").is_file()
         hint = f"; a run that did not finish left {part}" if has_frames else ""
+        if results.is_file():
+            raise MissingError(
+                f"{results}: a file, not a folder of results, as `sonarrec run LOG` writes one; a "
+                "ground truth is given with --ground-truth"
+            )
+        hint += similar_name(results) if not of_log else ""
         raise MissingError(
             f"{results}: no such results folder; `sonarrec run LOG` writes one{hint}{of_log}"
         )

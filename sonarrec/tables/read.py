@@ -17,7 +17,7 @@ import pandas as pd
 from pandas.api.types import is_integer_dtype, is_numeric_dtype, union_categoricals
 
 from sonarrec.arrays import FloatArray, IntArray
-from sonarrec.errors import SonarrecError, printable
+from sonarrec.errors import SonarrecError, plain_number, printable
 from sonarrec.tables import refuse_pipe, something_else
 
 Kind = Literal[
@@ -61,6 +61,15 @@ _OPTIONS: dict[str, Any] = {
     "compression": None,
 }
 _SIMILARITY = 0.7  # of difflib's ratio: visibility is near visible, comment is near none
+_ELSEWHERE = {
+    **dict.fromkeys(("u", "cx", "col", "column", "center_x", "centre_x"), "x_px"),
+    **dict.fromkeys(("v", "cy", "row", "center_y", "centre_y"), "y_px"),
+    **dict.fromkeys(("r", "distance", "dist", "slant_range"), "range_m"),
+    **dict.fromkeys(("angle", "azimuth", "theta"), "bearing_deg"),
+    **dict.fromkeys(("id", "label", "class", "marker", "tag", "name"), "landmark"),
+    **dict.fromkeys(("image", "index", "frame_number", "frame_id"), "frame"),
+}
+"""Names of columns that other programs use."""
 _ROWS_AT_ONCE = 2**16
 """A table as a whole is read in parts of so many rows: data frames take several times its size."""
 _WITH_OFFSET = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*(?:Z|[+-]\d\d(?::?\d\d)?)"
@@ -166,6 +175,8 @@ def mistaken_columns(
 def _nearest(name: str, known: Sequence[str]) -> str:
     """The known name of a column that another name may stand for; empty: none."""
     plain = name.strip().lower()
+    if (usual := _ELSEWHERE.get(plain)) in known:
+        return str(usual)
     prefixed = [n for n in known if plain and (n.startswith(plain) or plain.startswith(n))]
     return next(iter(prefixed or get_close_matches(plain, known, 1, _SIMILARITY)), "")
 
@@ -193,6 +204,7 @@ def _parts(
 
 def _in_one_line(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     """The result of `read`. Raises SonarrecError, in one line, where pandas finds no table."""
+    how = ""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -207,11 +219,20 @@ def _in_one_line(path: Path, expected: str, read: Callable[[], Any]) -> Any:
         why = "not in UTF-8; save it as that"
     except pd.errors.ParserWarning:
         why = "rows are longer than the header"
+        with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
+            how = _other_separator(file.readline(MOST_SHOWN))
     except ValueError as error:  # as pandas' ParserError is
         why = " ".join(str(error).split())[:MOST_SHOWN]
     raise SonarrecError(
-        f"{path}: not a readable CSV table ({why}); expected a header such as {expected}"
+        f"{path}: not a readable CSV table ({why}); expected a header such as {expected}{how}"
     )
+
+
+def _other_separator(header: str) -> str:
+    """What to do about a header whose cells are not separated by commas; empty: they are."""
+    if not any(mark in header for mark in (";", "\t", "\\t", "|")):
+        return ""
+    return "; separate the cells by commas, and write decimals with a point"
 
 
 def _check_header(
@@ -222,9 +243,11 @@ def _check_header(
         if f"{name}.1" in names:  # as pandas calls the second one
             raise SonarrecError(f"{path}: two columns are called {name}; rename or delete one")
     if missing := [name for name in required if name not in names]:
+        renamed = {name: _nearest(name, missing) for name in map(str, names) if name not in kinds}
+        meant = ", ".join(f"{name} to {near}" for name, near in renamed.items() if near)
+        like += f"; rename {meant}" if meant else ""
         header = printable(",".join(map(str, names)))
-        if ";" in header or "\\t" in header:
-            like += "; separate the cells by commas"
+        like += _other_separator(header)
         shown = header if len(header) <= MOST_SHOWN else f"{header[:MOST_SHOWN]}..."
         raise SonarrecError(
             f"{path}: wrong columns, no {', '.join(missing)}; found {shown}; expected a header "
@@ -263,7 +286,8 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         if str(column.name).endswith("_ns") and kind == "whole" and values[row] % 1 > 0:
             must += " of ns (1 s is 1000000000)"
         line = line_number(path, first + row)
-        raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {value}")
+        how = "" if blank[row] or "number" not in must else plain_number(column.iloc[row])
+        raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {value}{how}")
     if kind in _TEXTS:
         return values
     if kind == "flag":

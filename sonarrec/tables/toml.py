@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.errors import SonarrecError, redact_urls
+from sonarrec.errors import SonarrecError, plain_number, redact_urls
 from sonarrec.tables import something_else
 
 MAX_LENGTH = 2**24
@@ -88,16 +88,34 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 def _how_to_write(text: str, fault: str) -> str:
     """What is usually meant where a text is not TOML; empty: not known."""
-    if re.search(r"=\s*[-+]?[0-9]+,[0-9]", text):
-        return "; decimals have a point"
+    if "overwrite" in fault:
+        return "; a key stands there twice: delete one"
     number = re.search(r"\(at line (\d+),", fault)
-    lines = text.splitlines()[int(number[1]) - 1 : int(number[1])] if number else []
-    bare = (
-        re.match(r"\s*([\w.-]+\s*=\s*)([^\W\d_][^\"'#\[\]{}=]*?)\s*(#.*)?$", lines[0])
-        if lines
-        else None
-    )
-    return f'; text wants quotes: {bare[1]}"{bare[2]}"' if bare else ""
+    line = "".join(text.splitlines()[int(number[1]) - 1 : int(number[1])] if number else [])
+    for form, how in _SLIPS:
+        if match := re.match(form, line, re.IGNORECASE):
+            parts = {name: part for name, part in match.groupdict().items() if part}
+            return f"; {how.format(**parts, small=parts.get('value', '').lower())}"
+    return ""
+
+
+_KEY = r"\s*(?P<key>[\w.-]+)\s*"
+_SLIPS = (
+    (rf"{_KEY}=\s*[-+]?[0-9]+,[0-9]", "decimals have a point"),
+    (rf"{_KEY}=\s*(?P<value>true|false)\s*(#.*)?$", "write {key} = {small}, in small letters"),
+    (rf"{_KEY}=\s*(?:yes|no|on|off)\s*(#.*)?$", "write {key} = true or {key} = false"),
+    (rf"{_KEY}=\s*(?:none|null|nan|n/a)?\s*(#.*)?$", "where there is no value, delete the line"),
+    (rf"{_KEY}=\s*(?P<value>[-+]?\.[0-9]+)", "a digit stands before the point: 0.3, not .3"),
+    (rf"{_KEY}=\s*[-+]?[0-9.]+\s*[^\W\d_]", "numbers have no unit: the name of the key has it"),
+    (
+        rf"{_KEY}=\s*(?P<value>[^\W\d_][^\"'#\[\]{{}}=]*?)\s*(#.*)?$",
+        'text wants quotes: {key} = "{value}"',
+    ),
+    (rf"{_KEY}=\s*\(", "lists have square brackets: [1, 2]"),
+    (rf"{_KEY}:", "write {key} = VALUE, with an equals sign"),
+    (r"\s*(?://|;|--|/\*)", "comments begin with #"),
+)
+"""What is usually meant by a line that is not TOML, by its form."""
 
 
 def _beyond_toml(value: Any, depth: int = 0) -> str:
@@ -191,7 +209,12 @@ def checked(value: object, wanted: Any, label: str) -> Any:
     try:  # 1e3 is a whole number too
         return msgspec.convert(int(value) if is_integer else value, wanted)  # type: ignore[call-overload]
     except msgspec.ValidationError:
-        raise SonarrecError(f"{label} must be {described(wanted)}, not {brief(value)}") from None
+        how = (
+            plain_number(value) if isinstance(value, str) and "number" in described(wanted) else ""
+        )
+        raise SonarrecError(
+            f"{label} must be {described(wanted)}, not {brief(value)}{how}"
+        ) from None
 
 
 @functools.cache

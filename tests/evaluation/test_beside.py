@@ -62,7 +62,7 @@ def test_each_log_has_its_own(logs: Path) -> None:
     truth(logs / "logs" / "gt.csv", range(8))
     truth(logs / "logs" / "pings" / "gt.csv", range(12))
     done = command(logs / "out")
-    assert f"ground truth {logs}/logs/a.gt.csv, beside" in done.stdout
+    assert f"the first {logs}/logs/a.gt.csv" in done.stdout
     found = evaluate(logs / "out")
     per_log = [scored(found, "strict").count(0, n) for n in range(len(found.folders))]
     assert [(c.tp, c.fn) for c in per_log] == [(1, 3), (2, 6), (3, 9)]
@@ -115,10 +115,10 @@ def test_the_log_is_found_from_any_folder_and_where_it_moved_with_its_results(
     (logs / "elsewhere").mkdir()
     monkeypatch.chdir(logs / "elsewhere")
     done = command("../out/a")
-    assert f"ground truth {logs / 'logs' / 'a.gt.csv'}, beside" in done.stdout
+    assert f"the ground truth {logs / 'logs' / 'a.gt.csv'}" in done.stdout
     for name in ("out", "logs"):
         (logs / name).rename(logs / "elsewhere" / name)
-    assert "logs/a.gt.csv, beside" in command("out/a").stdout
+    assert "the ground truth logs/a.gt.csv" in command("out/a").stdout
     (logs / "elsewhere" / "logs" / "a.mp4").unlink()
     said = command("out/a", code=2).stderr
     assert said.startswith("sonarrec: out/a")

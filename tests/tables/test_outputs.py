@@ -116,7 +116,8 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
         for word in (
             "exist",
             "reads it",
-            "part of the recording",
+            "become a part",
+            "is not written here",
             "holds frames.csv",
             "log itself",
             "may be a",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from sonarrec.errors import listed
 from sonarrec.evaluation.plots import PUBLISHED
 from tests.studies.results.record import ROOT, read, stale
 
@@ -62,13 +63,16 @@ def _lines(now: Mapping[str, str]) -> Iterator[str]:
     marks = {}
     for name in ("scenes_fresh", "worlds", "paper", "bench"):
         marks[name] = "† " if stale(read(name), now) else ""
-    head = ["recordings", *(f"`{name}`" for name in METHODS), "in a sentence"]
+    rates = [f"`{name}` {rate}" for name in METHODS for rate in ("TPR", "FPR")]
+    head = ["recordings", *rates, "[all results](tests/studies/RESULTS.md)"]
     yield f"| {' | '.join(head)} |"
     yield "|---" * len(head) + "|"
-    for name, rows in (("scenes_fresh", _scenes()), ("worlds", _others()), ("paper", _paper())):
+    scenes, false = _scenes()
+    for name, rows in (("scenes_fresh", scenes), ("worlds", _others()), ("paper", _paper())):
         link = read(name)["title"].lower().replace(" ", "-")
         link = f"[more](tests/studies/RESULTS.md#{re.sub('[^a-z-]', '', link)})"
-        yield from (f"| {marks[name]}{' | '.join(cells)} {link} |" for cells in rows)
+        yield from (f"| {marks[name]}{' | '.join([*cells, link])} |" for cells in rows)
+    yield from ("", f"{false} {_about_rows()}")
     note = (
         " † measured with an earlier state of the program; not yet repeated with this one."
         if any(marks.values())
@@ -77,68 +81,75 @@ def _lines(now: Mapping[str, str]) -> Iterator[str]:
     yield from ("", f"{marks['bench']}{_cost()}{note}")
 
 
-def _scenes() -> list[list[str]]:
-    """All kinds pooled, the kind with the lowest TPR, and the one with the highest FPR."""
+def _scenes() -> tuple[list[list[str]], str]:
+    """All kinds pooled, the kind with the lowest TPR, and the one with the highest FPR; and a
+    sentence on their false claims."""
     rows = {row["kind of scene"]: row for row in _rows("scenes_fresh") if "kind of scene" in row}
     kinds = {found[1]: row for label, row in rows.items() if (found := re.search("`(.+)`", label))}
     rates = {kind: _rates(row["`default`"]) for kind, row in kinds.items()}
     lowest = min((k for k in rates if not math.isnan(rates[k][0])), key=lambda k: rates[k][0])
     highest = max(rates, key=lambda k: rates[k][1])
-    shown = [
-        ("random scenes of twelve kinds", rows[POOLED], "No setting was chosen on these."),
-        (KINDS[lowest], kinds[lowest], "Of all kinds this one has the lowest TPR."),
-        (KINDS[highest], kinds[highest], "Of all kinds this one has the highest FPR."),
-    ]
-    return [
-        [of, *(row[f"`{name}`"] for name in METHODS), f"{said} {_false(row)}"]
-        for of, row, said in shown
-    ]
+    shown = {"random scenes of twelve kinds": rows[POOLED]}
+    shown |= {KINDS[kind]: kinds[kind] for kind in (lowest, highest)}
+    cells = [[of, *_cells(row[f"`{name}`"] for name in METHODS)] for of, row in shown.items()]
+    default, offline = (
+        listed([row[f"`{name}`, false"].split()[0] for row in shown.values()])
+        for name in METHODS[1:]
+    )
+    false = f"`default` makes {default} false claims in 100 frames, `offline` {offline}"
+    return cells, f"In the first three rows {false}."
 
 
-def _false(row: Mapping[str, str]) -> str:
-    """The false claims per 100 frames of both presets, in a sentence."""
-    default, offline = (row[f"`{name}`, false"].split()[0] for name in METHODS[1:])
-    return f"False claims per 100 frames: `default` {default}, `offline` {offline}."
+def _cells(both: Iterable[str]) -> Iterator[str]:
+    """TPR and FPR of each method, a cell for each, with its interval. both: of each method."""
+    for cell in both:
+        yield from cell.split(" / ")
 
 
 def _others() -> list[list[str]]:
     """The clip of a real tag, ranges over recordings that the simulator did not make, and claims in
     real ones without a landmark."""
-    ranges, claims = [], []
-    made = [row for row in _rows("worlds") if "default" in row]
+    ranges, named, claims = list[str](), list[str](), list[str]()
+    made = _made_by_others()
     real = [row for row in _rows("worlds") if "radius" in row]
+    (clip,) = (row for row in _rows("worlds") if "frames with the tag" in row)
+    frames = sum({row["recording"]: int(row["frames"]) for row in real}.values())
     for name in METHODS[1:]:
         tprs, fprs = zip(*(_rates(row[name]) for row in made), strict=True)
-        ranges.append(f"{_range(tprs, 3)} / {_range(fprs, 4)}")
+        ranges += [_range(tprs, 3), _range(fprs, 4)]
+        named += [f"{clip[f'{name}: named']} of {clip['frames with the tag']} frames"]
+        named += [f"{clip[f'{name}: wrong ID']} wrong IDs"]
         false = sum(int(row[f"{name}: frames with a claim"]) for row in real)
-        claims.append(f"{false} claims")
-    frames = sum({row["recording"]: int(row["frames"]) for row in real}.values())
-    said = (
-        f"The worst and the best of {len(made)} kinds: recordings of Stonefish, of another basin "
-        "simulator, ray-traced ones, and rings drawn into recordings of real rivers."
-    )
-    (clip,) = (row for row in _rows("worlds") if "frames with the tag" in row)
-    tag = clip["frames with the tag"]
-    named = [f"named in {clip[f'{name}: named']} of {tag} frames" for name in METHODS[1:]]
-    wrong = sum(int(clip[f"{name}: wrong ID"]) for name in METHODS[1:])
+        claims += ["", f"{false} of {frames} frames"]
     return [
-        ["a real clip of an AcTag", "", *named, f"{wrong} claims are of another ID."],
-        ["not made by our simulator", "", *ranges, said],
-        [
-            "real rivers without a landmark",
-            "",
-            *claims,
-            f"Any claim in these {frames} frames would be false.",
-        ],
+        ["a real clip of an AcTag", "", "", *named],
+        ["not made by our simulator", "", "", *ranges],
+        ["real rivers without a landmark", "", "", *claims],
     ]
+
+
+def _made_by_others() -> list[dict[str, str]]:
+    return [row for row in _rows("worlds") if "default" in row]
+
+
+def _about_rows() -> str:
+    """What the rows are, where their names do not say it."""
+    return (
+        "No setting was chosen on the random scenes; their second and third row are the kind with "
+        "the lowest TPR and the one with the highest FPR. "
+        f"Not made by our simulator are {len(_made_by_others())} kinds: recordings of Stonefish, "
+        "of another basin simulator, ray-traced ones, and rings drawn into recordings of real "
+        "rivers. Their cells have the lowest and the highest rate."
+    )
 
 
 def _paper() -> list[list[str]]:
     of = {row["method"]: row["paper"] for row in _rows("paper") if {"method", "paper"} <= set(row)}
-    published = " and ".join(f"{tpr:.4f} / {fpr:.4f}" for _, fpr, tpr in PUBLISHED)
-    framework = f"{of['framework']} (`--preset paper`)"
-    about = "the paper's comparison, protocol `paper`"
-    return [[about, of["SMI"], framework, "", f"Published are {published}."]]
+    published = _cells(f"{tpr:.4f} / {fpr:.4f}" for _, fpr, tpr in PUBLISHED)
+    return [
+        ["protocol `paper`, `--preset paper`", *_cells((of["SMI"], of["framework"])), "", ""],
+        ["the same as published", *published, "", ""],
+    ]
 
 
 def _cost() -> str:

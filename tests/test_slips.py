@@ -1,0 +1,158 @@
+"""What a person mistypes is answered by what was meant: each kind in several forms."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+from sonarrec.errors import SonarrecError, plain_number
+from sonarrec.tables.toml import parse_toml
+from tests.support.command import SAMPLE, sample_log, sonarrec
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a log, its truth, and its results."""
+    monkeypatch.chdir(tmp_path)
+    sample_log(tmp_path / "dive", 4)
+    sonarrec("run", "dive", "-q")
+    shutil.copy(SAMPLE / "gt.csv", tmp_path / "truth.csv")
+    shutil.copytree(tmp_path / "dive", tmp_path / "my long dive")
+    return tmp_path
+
+
+def refused(*words: str) -> str:
+    """What a command says that ends as bad usage or as failed."""
+    done = CliRunner().invoke(main, [*words])
+    assert done.exit_code in (1, 2, 3), done.output
+    return done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("run dvie", "dive?"),
+        ("info Dive.", "dive?"),
+        ("evaluate sonarrec_out/diev", "sonarrec_out/dive?"),
+        ("report sonarec_out", "sonarrec_out?"),
+        ("evaluate --ground-truth truth.cvs", "truth.csv?"),
+        ("run my long dive", "'my long dive'"),
+        ("report my long dive", "quotes"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_a_name_that_is_not_there_is_answered_by_one_that_is(words: str, meant: str) -> None:
+    assert meant in refused(*words.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("0,68", "0.68"), ("-1,5", "-1.5"), (",5", ".5"), ("20°", "alone"), ("3 m", "alone")],
+)
+def test_a_number_is_written_with_a_point_and_alone(text: str, meant: str) -> None:
+    assert plain_number(text).endswith(meant) or meant in plain_number(text)
+    assert not plain_number("north")
+    option = CliRunner().invoke(main, ["run", "x", f"--range-min-m={text}"]).stderr
+    assert meant in " ".join(option.split())
+    with pytest.raises(SonarrecError):
+        parse_toml(f"range_min_m = {text}", "x")
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("flip = True", "flip = true"),
+        ("flip = No", "true or"),
+        ("height_m = None", "delete"),
+        ("height_m = .68", "0.3"),
+        ("height_m = 0.68 m", "unit"),
+        ("height_m: 0.68", "equals"),
+        ("bearings_deg = (1, 2)", "square"),
+        ("layout = fan", 'layout = "fan"'),
+        ("// mine", "#"),
+        ("a = 1\na = 2", "twice"),
+    ],
+)
+def test_a_line_that_is_no_toml_is_answered_by_how_it_is_written(line: str, meant: str) -> None:
+    with pytest.raises(SonarrecError, match=meant):
+        parse_toml(line, "x")
+
+
+@pytest.mark.parametrize(
+    ("header", "meant"),
+    [
+        ("frame,landmark,u,v", "x_px, y_px"),
+        ("frame,landmark,cx,cy", "x_px, y_px"),
+        ("frame,landmark,slant_range,azimuth", "range_m, bearing_deg"),
+        ("frame,id,x_px,y_px", "id to landmark"),
+        ("frame;landmark;x_px;y_px", "commas"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_columns_of_other_programs_are_told_as_ours(header: str, meant: str) -> None:
+    separator = ";" if ";" in header else ","
+    Path("gt.csv").write_text(f"{header}\n{separator.join('1123')}\n")
+    assert meant in refused("evaluate", "sonarrec_out/dive", "--ground-truth", "gt.csv")
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("evaluate truth.csv sonarrec_out/dive", "--ground-truth"),
+        ("evaluate truth.csv", "--ground-truth"),
+        ("truth check dive truth.csv", "table first"),
+        ("calibrate sonarrec_out/dive -o m.toml", "the log is dive"),
+        ("calibrate truth.csv -o m.toml", "a table, not a log"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_exchanged_arguments_are_told(words: str, meant: str) -> None:
+    assert meant in refused(*words.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "known"),
+    [
+        ("overlay dive -o x.avi", ".mp4"),
+        ("overlay dive -o x.GIF", ".mcap"),
+        ("report sonarrec_out/dive -o r.pdf", ".html"),
+        ("map sonarrec_out/dive -o m.html", "folder"),
+        ("run dive -o results.csv", "folder"),
+        ("export sonarrec_out/dive -o x.xlsx", ".json"),
+        ("truth propose sonarrec_out/dive -o p.txt", ".csv"),
+    ],
+)
+def test_an_output_of_another_kind_is_refused(words: str, known: str, here: Path) -> None:
+    before = {*here.rglob("*")}
+    assert known in refused(*words.split())
+    assert {*here.rglob("*")} == before
+
+
+def test_pictures_of_results_may_lie_next_to_photos(here: Path) -> None:
+    for n in range(1, 4):
+        shutil.copy(here / "dive" / "000000.png", here / f"photo{n}.png")
+    for out in ("shots", "shots.mp4"):
+        sonarrec("overlay", "dive", "-o", out)
+    assert "photo" in refused("info", "dive", "--preview", "p.png")
+    for out in ("dive/x.mp4", "dive/shots"):
+        assert "become a part" in refused("overlay", "dive", "-o", out)
+
+
+@pytest.mark.parametrize(("key", "value"), [("field_of_view_deg", 0.5), ("tilt_deg", 0.35)])
+def test_angles_in_radians_are_told(here: Path, key: str, value: float) -> None:
+    option = f"--{key.replace('_', '-')}"
+    told = sonarrec("run", "dive", option, value, "-o", here / "out", "-q").stderr
+    assert "in radians" in told
+    assert "in radians" not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_a_run_of_one_frame_has_no_hints_that_cannot_help() -> None:
+    words = ("--frames", "1:2", "--set", "features.declare_alone=1", "-q")
+    told = sonarrec("run", "dive", *words).stderr
+    assert "single frame" in told
+    assert "--range-order" not in told
