@@ -16,7 +16,6 @@ from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 from tests.support.messages import image_fields, serialised
 
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(10)
 PARTS = [2, 1, 3, 2, 2]
 

@@ -11,7 +11,6 @@ import numpy as np
 from sonarrec.arrays import Table
 from sonarrec.evaluation.counts import TOTAL, Counts, Tally
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.rows import Matched, ScoringOptions
 from sonarrec.evaluation.rows import matched as with_passes
 from sonarrec.evaluation.write import Evaluation
@@ -99,12 +98,6 @@ def counts(*logs: Matched) -> Counts:
     for log in logs:
         tally.add(log)
     return tally.counts([Path(f"log{n}") for n in range(len(logs))])
-
-
-def evaluated(*logs: Matched) -> Evaluation:
-    """Their figures as well."""
-    found = counts(*logs)
-    return Evaluation(found, summarise(found), 0.9, (), (), ())
 
 
 def evaluate(results: str | Path, truth: str | Path | None = None, **options: Any) -> Evaluation:
