@@ -48,6 +48,7 @@ def commands() -> dict[str, click.Command]:
 
 
 COMMANDS = commands()
+TEXTS = page_texts()
 
 
 def code_lines(document: Path) -> Iterator[str]:
@@ -177,7 +178,7 @@ def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: st
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_fit_for_a_terminal(name: str) -> None:
-    text = page_texts()[name]
+    text = TEXTS[name]
     assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
     assert len(text.splitlines()) <= (
         220 if name in ("contribute", "formats", "results", "run") else 150
@@ -192,7 +193,7 @@ def test_a_page_is_fit_for_a_terminal(name: str) -> None:
 
 def test_help_lists_and_prints_the_pages() -> None:
     listed = CliRunner().invoke(main, ["help"]).stdout
-    for name, text in page_texts().items():
+    for name, text in TEXTS.items():
         assert re.search(rf"^  {name} +\S", listed, re.MULTILINE)
         told = CliRunner().invoke(main, ["help", name]).stdout
         assert not re.search(r"`|^#|^```", told, re.MULTILINE)
@@ -233,7 +234,7 @@ def test_help_is_in_groups() -> None:
 
 def listed_columns(page: str, file: str) -> list[str]:
     """The columns that a help page lists under `## FILE`."""
-    section = re.split(r"^## ", page_texts()[page], flags=re.MULTILINE)
+    section = re.split(r"^## ", TEXTS[page], flags=re.MULTILINE)
     (text,) = [part for part in section if part.partition("\n")[0] == file]
     columns: list[str] = []
     for line in text.splitlines():
