@@ -27,6 +27,7 @@ from click.testing import CliRunner
 from sonarrec.cli import COMMANDS as COMMAND_NAMES
 from sonarrec.cli import main
 from sonarrec.cli.groups import page_texts
+from sonarrec.cli.help import as_text
 from sonarrec.config import SECTIONS
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
@@ -199,6 +200,12 @@ def test_help_lists_and_prints_the_pages() -> None:
         assert not re.search(r"`|^#|^```", told, re.MULTILINE)
         words = [re.findall(r"\w+", one) for one in (told, re.sub("```[a-z]*|`", "", text))]
         assert words[0] == words[1]
+
+
+def test_code_of_several_words_is_quoted_where_nothing_is_bold() -> None:
+    page = "Type `sonarrec run LOG` or `q`."
+    assert as_text(page, marked=False).strip() == "Type 'sonarrec run LOG' or q."
+    assert "'" not in as_text(page, marked=True)
 
 
 def test_an_unknown_page_names_the_known_ones() -> None:

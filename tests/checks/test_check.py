@@ -211,6 +211,9 @@ def test_a_folder_of_logs_with_a_landmark_set_beside_the_file(repository: Path) 
     FILE.write_text('landmarks = "mine.toml"\n[[log]]\npath = "logs/*"\n')
     assert "2 logs" in sonarrec("check", "--update").stdout
     assert {p.name for p in RECORD.iterdir()} == {"a", "b"}
+    for own in ("name = 'a'", "ground_truth = 'faint/gt.csv'"):  # of one log alone
+        FILE.write_text(f"[[log]]\npath = 'logs/*'\n{own}\n")
+        assert "2 logs" in sonarrec("check", "--update", code=2).stderr
 
 
 def test_logs_of_two_landmark_sets_are_scored_by_set(repository: Path) -> None:
