@@ -10,13 +10,6 @@ from sonarrec.errors import UsageError
 from sonarrec.tables.toml import checked, types_of
 from tests.support.command import sonarrec
 
-NUMBERS = [
-    f"{section}.{field.name}"
-    for section, kind in config.SECTIONS.items()
-    for field in dataclasses.fields(kind)
-    if not isinstance(field.default, str)
-]
-
 
 @pytest.mark.parametrize("name", list(config.PRESETS))
 def test_printed_toml_reads_back_as_the_same_configuration(name, tmp_path):

@@ -27,6 +27,7 @@ from click.testing import CliRunner
 from sonarrec.cli import COMMANDS as COMMAND_NAMES
 from sonarrec.cli import main
 from sonarrec.cli.groups import page_texts
+from sonarrec.cli.help import as_text
 from sonarrec.config import SECTIONS
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").exists())
@@ -48,6 +49,7 @@ def commands() -> dict[str, click.Command]:
 
 
 COMMANDS = commands()
+TEXTS = page_texts()
 
 
 def code_lines(document: Path) -> Iterator[str]:
@@ -177,7 +179,7 @@ def test_a_command_has_help_an_example_a_page_and_a_place_in_the_readme(name: st
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_fit_for_a_terminal(name: str) -> None:
-    text = page_texts()[name]
+    text = TEXTS[name]
     assert re.match(rf"# {name}: \S.*\n\n\S", text)  # then what it is for, in a sentence
     assert len(text.splitlines()) <= (
         220 if name in ("contribute", "formats", "results", "run") else 150
@@ -192,12 +194,18 @@ def test_a_page_is_fit_for_a_terminal(name: str) -> None:
 
 def test_help_lists_and_prints_the_pages() -> None:
     listed = CliRunner().invoke(main, ["help"]).stdout
-    for name, text in page_texts().items():
+    for name, text in TEXTS.items():
         assert re.search(rf"^  {name} +\S", listed, re.MULTILINE)
         told = CliRunner().invoke(main, ["help", name]).stdout
         assert not re.search(r"`|^#|^```", told, re.MULTILINE)
         words = [re.findall(r"\w+", one) for one in (told, re.sub("```[a-z]*|`", "", text))]
         assert words[0] == words[1]
+
+
+def test_code_of_several_words_is_quoted_where_nothing_is_bold() -> None:
+    page = "Type `sonarrec run LOG` or `q`."
+    assert as_text(page, marked=False).strip() == "Type 'sonarrec run LOG' or q."
+    assert "'" not in as_text(page, marked=True)
 
 
 def test_an_unknown_page_names_the_known_ones() -> None:
@@ -233,7 +241,7 @@ def test_help_is_in_groups() -> None:
 
 def listed_columns(page: str, file: str) -> list[str]:
     """The columns that a help page lists under `## FILE`."""
-    section = re.split(r"^## ", page_texts()[page], flags=re.MULTILINE)
+    section = re.split(r"^## ", TEXTS[page], flags=re.MULTILINE)
     (text,) = [part for part in section if part.partition("\n")[0] == file]
     columns: list[str] = []
     for line in text.splitlines():

@@ -66,26 +66,6 @@ def pings(work: Path) -> Path:
 # What works
 
 
-def test_the_readme_commands(work: Path) -> None:
-    for name in ("pan.mcap", "pan.sonar.toml"):
-        (work / name).write_bytes((SAMPLE.parent / name).read_bytes())
-    told = sonarrec("run", "pan.mcap")
-    assert "128 frames" in told.stdout
-    assert (
-        "tilt 20 deg, height 0.68 m (topic /sonar/image, pan.sonar.toml); landmarks basin"
-        in told.stderr
-    )
-    results = work / "sonarrec_out" / "pan"
-    assert len(table(results / "frames.csv")) == 128
-    told = sonarrec("evaluate", "--ground-truth", SAMPLE / "gt.csv")
-    assert "framework" in told.stdout
-    files = {p.name for p in (work / "sonarrec_out" / "evaluation").iterdir()}
-    assert files >= {"confusion.csv", "roc.csv", "roc.png", "evaluation.json"}
-    tpr, fpr = rates(work / "sonarrec_out")["strict", "framework"]
-    assert tpr > 0.9
-    assert fpr < 0.02
-
-
 def test_estimates_keep_the_contract(pings: Path) -> None:
     sonarrec("run", pings)
     results = Path("sonarrec_out/pings")

@@ -10,6 +10,7 @@ import pytest
 from sonarrec import config
 from tests.support.camp import OTHER_SET, make_camp
 from tests.support.command import sonarrec
+from tests.support.slow import but_first
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 FILE = Path("sonarrec.check.toml")
@@ -210,6 +211,9 @@ def test_a_folder_of_logs_with_a_landmark_set_beside_the_file(repository: Path) 
     FILE.write_text('landmarks = "mine.toml"\n[[log]]\npath = "logs/*"\n')
     assert "2 logs" in sonarrec("check", "--update").stdout
     assert {p.name for p in RECORD.iterdir()} == {"a", "b"}
+    for own in ("name = 'a'", "ground_truth = 'faint/gt.csv'"):  # of one log alone
+        FILE.write_text(f"[[log]]\npath = 'logs/*'\n{own}\n")
+        assert "2 logs" in sonarrec("check", "--update", code=2).stderr
 
 
 def test_logs_of_two_landmark_sets_are_scored_by_set(repository: Path) -> None:
@@ -250,7 +254,9 @@ def test_the_samples_are_as_on_record() -> None:
     assert "on record" not in sonarrec("check", SAMPLES / FILE).stderr
 
 
-@pytest.mark.parametrize("text", ["# a comment\n", "finished = true\n", '[input]\nname = "x"\n'])
+@pytest.mark.parametrize(
+    "text", but_first(['[input]\nname = "x"\n', "# a comment\n", "finished = true\n"])
+)
 def test_a_record_that_does_not_name_its_log_is_not_compared(repository: Path, text: str) -> None:
     sonarrec("check", "--update")
     (RECORD / "faint" / "run.toml").write_text(text)

@@ -52,7 +52,7 @@ def test_areas_equal_scikit_learns(seed: int, claimed: float, protocol: str) -> 
         assert curve["threshold"][0] == math.inf
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), most=st.floats(0, 1))
 def test_tpr_at_an_fpr_is_the_best_that_a_threshold_gives(seed: int, most: float) -> None:
     case, positive, points = one_vs_rest(seed)

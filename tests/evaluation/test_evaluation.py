@@ -289,7 +289,7 @@ def count_frame_by_frame(frames, claims, truth, protocol: str, landmark: int) ->
     return [tp, tn, fp, fn]
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_counts_and_curves_equal_a_count_frame_by_frame(tmp_path_factory, seed: int) -> None:
     frames, estimates, truth = random_case(np.random.default_rng(seed))

@@ -16,7 +16,6 @@ from tests.support.bags import IMAGE, bag, messages, ros1_messages, split_bag
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file, read
 from tests.support.messages import image_fields, serialised
 
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(10)
 PARTS = [2, 1, 3, 2, 2]
 
@@ -184,5 +183,5 @@ def test_rows_of_a_database_that_are_left_unread_are_told(tmp_path: Path) -> Non
     file.with_name("dive.db3-journal").write_bytes(b"hot")
     found, problems = read(file)
     assert len(found) == 6
-    assert "dive.db3: 4 messages" in problems
+    assert any("dive.db3: 4 messages" in p for p in problems)
     assert any("dive.db3-journal" in p for p in problems)

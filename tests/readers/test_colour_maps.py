@@ -25,7 +25,6 @@ from sonarrec.records import ColourMap
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"
-FRAMES = "0:8"
 
 
 def picture() -> np.ndarray:

@@ -23,7 +23,6 @@ from tests.support.logs import frames, image_folder
 
 MOMENT = datetime(2026, 11, 20, 10, 0, 0, 250_000, UTC)
 MOMENT_NS = 1_795_168_800_250_000_000  # by `date --date=2026-11-20T10:00:00.25Z +%s%N`
-MIDNIGHT = datetime(2024, 1, 31, 23, 59, 45)
 ISO = ["%Y-%m-%d_%H-%M-%S.%f", "%Y%m%dT%H%M%S.%fZ", "frame17_%Y-%m-%d %H:%M:%S,%f_left"]
 CERTAIN: dict[str, Callable[[int], str]] = {
     "counter": lambda k: f"frame{k}",

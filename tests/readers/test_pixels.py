@@ -322,3 +322,21 @@ def test_one_pixel_out_of_bounds_costs_no_frame(tmp_path: Path) -> None:
     found, problems = read_log(mcap_file(tmp_path / "log.mcap", stored))
     assert [frame.index for frame in found] == [0, 1, 3]
     assert len(problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "kept"),
+    [
+        ([0, 255], np.uint8),
+        ([0, 256], np.uint16),
+        ([0, 65535], np.uint16),
+        ([0, 65536], np.int64),
+        ([-1, 255], np.float32),
+    ],
+)
+def test_integers_of_an_array_are_as_narrow_as_they_can_be(values: list[int], kept: type) -> None:
+    file = io.BytesIO()
+    np.save(file, np.array([values] * 3, np.int64))
+    pixels = decode_image(file.getvalue())
+    assert pixels.dtype == kept
+    assert pixels[0].tolist() == values

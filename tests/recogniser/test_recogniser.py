@@ -152,12 +152,6 @@ def test_a_drawn_landmark_is_declared_and_followed_as_one_object(landmark):
     assert len(tracks) == 1
 
 
-@pytest.mark.parametrize("fake", [(0, 0, 0, 0), (1, 1, 1, 1)])
-def test_a_drawn_fake_is_never_declared(fake):
-    for result in run(drawn_log(fake), config.preset("default")):
-        assert not any(e.declared for e in result.estimates if e.method == FRAMEWORK)
-
-
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.parametrize("landmark", but_first([0, 1, 2]))
 def test_a_set_of_other_landmarks_is_data_only(name, landmark):
@@ -169,14 +163,6 @@ def test_a_set_of_other_landmarks_is_data_only(name, landmark):
     claims = {e.landmark for e in results[-1].estimates if e.method == FRAMEWORK and e.declared}
     if name == "default":
         assert claims == {other.ids[landmark]}
-
-
-NUMBERS = [
-    (section, field.name)
-    for section, kind in config.SECTIONS.items()
-    for field in dataclasses.fields(kind)
-    if not isinstance(field.default, str)
-]
 
 
 def tiny_sonar(**changed) -> Sonar:

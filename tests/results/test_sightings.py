@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import defaultdict
 from dataclasses import replace
@@ -178,14 +177,6 @@ def test_the_place_on_the_floor_is_the_same_from_wherever_it_is_seen() -> None:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out")
     return run(SAMPLE / "pan.mcap", out, preset=["default", "offline"]).folder
-
-
-def test_the_file_has_the_contract_s_columns_and_every_method(results: Path) -> None:
-    with (results / "sightings.csv").open(newline="") as file:
-        header, *rows = csv.reader(file)
-    assert ",".join(header) == CONTRACT
-    assert {row[0] for row in rows} == {"smi:default", "framework:default", "framework:offline"}
-    assert [int(row[4]) for row in rows] == sorted(int(row[4]) for row in rows)
 
 
 @pytest.mark.parametrize("why", ["no sightings.csv", "cut short"])

@@ -304,7 +304,7 @@ def test_equal_lines_are_one_and_failures_come_again_at_the_end(tmp_path: Path) 
     )
     lines = done.stderr.splitlines()
     assert len([line for line in lines if ": geometry " in line]) == 2  # one a landmark set
-    assert "sonarrec: 2 more logs" in lines
+    assert "sonarrec: 2 more logs: as dive01" in lines
     reason = [n for n, line in enumerate(lines) if "not one frame could be used" in line]
     counted = next(n for n, line in enumerate(lines) if "4 done, 1 failed" in line)
     assert reason[0] < counted < reason[1]

@@ -56,6 +56,7 @@ def keys(s3: Any) -> set[str]:
     return {one["Key"] for one in s3.list_objects_v2(Bucket="dives").get("Contents", [])}
 
 
+@pytest.mark.slow
 def test_logs_and_results_on_s3(tmp_path: Path, s3: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its results are those of the local logs; one that is no log costs itself."""
     day = tmp_path / "day"

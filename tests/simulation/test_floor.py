@@ -111,13 +111,6 @@ def disc(lean: float = 0.0, towards: float = 0.0, **more: float) -> Scene:
     return replace(POLAR, objects=(item,))
 
 
-def extent(seen: np.ndarray, beams: slice) -> tuple[float, float]:
-    """Slant range where the disc begins and ends."""
-    level = seen[:, beams].mean(axis=1)
-    rows = np.flatnonzero(level > level[:430].max() / 8)
-    return 1.25 + rows[0] * BIN_M, 1.25 + (rows[-1] + 1) * BIN_M
-
-
 @pytest.mark.parametrize(
     ("lean", "towards"), [(0.0, 0.0), (LEAN, 0.0), (LEAN, 180.0), (LEAN, 90.0)]
 )

@@ -11,7 +11,6 @@ import numpy as np
 from sonarrec.arrays import Table
 from sonarrec.evaluation.counts import TOTAL, Counts, add_up, count_log
 from sonarrec.evaluation.evaluate import evaluate_logs
-from sonarrec.evaluation.figures import summarise
 from sonarrec.evaluation.rows import Matched, ScoringOptions
 from sonarrec.evaluation.rows import matched as with_passes
 from sonarrec.evaluation.write import Evaluation
@@ -96,12 +95,6 @@ def all_scored(of: Counts) -> list[Scored]:
 def counts(*logs: Matched) -> Counts:
     """The counts of logs."""
     return add_up([*map(count_log, logs)], [Path(f"log{n}") for n in range(len(logs))])
-
-
-def evaluated(*logs: Matched) -> Evaluation:
-    """Their figures as well."""
-    found = counts(*logs)
-    return Evaluation(found, summarise(found), 0.9, (), (), ())
 
 
 def evaluate(results: str | Path, truth: str | Path | None = None, **options: Any) -> Evaluation:

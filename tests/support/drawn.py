@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from sonarrec.geometry import fan_for_image
@@ -185,33 +184,3 @@ def speckled_disc(
 def surroundings(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and sigma of an image for ShapeSampler: (1,) each, for all objects the same."""
     return np.array([image.mean()]), np.array([image.std() or 1.0])
-
-
-def smeared_matrix(
-    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    radii: np.ndarray,
-    angles: int,
-    across: float,
-    along: float = 0.05,
-) -> np.ndarray:
-    """(lines, angles) of grey values (dB) of a ringed disc drawn finely and blurred in power.
-
-    pattern: where its symbol is bright (x right, y up), over the unit disc. Angles count
-    counter-clockwise from the line of sight, which points up the picture. across, along: standard
-    deviation of the blur across the line of sight and along it, in disc radii. Ring, symbol, plate,
-    floor and noise at 12, 10, -8, 0 and -6 dB.
-    """
-    size, reach = 600, 1.7
-    pixels = size / (2 * reach)
-    axis = (np.arange(size) + 0.5) / pixels - reach
-    x, y = np.meshgrid(axis, -axis)
-    radius = np.hypot(x, y)
-    power = np.where(pattern(x, y) > 0, 10**1.0, 10**-0.8)
-    power = np.where((radius >= RING[0]) & (radius <= RING[1]), 10**1.2, power)
-    power = np.where(radius > RING[1], 1.0, power)
-    power = cv2.GaussianBlur(power, (0, 0), sigmaX=across * pixels, sigmaY=along * pixels)
-    grey = 10 * np.log10(power + 10**-0.6)
-    angle = (np.arange(angles) + 0.5) * 2 * np.pi / angles
-    column = (-np.outer(radii, np.sin(angle)) + reach) * pixels - 0.5
-    row = (reach - np.outer(radii, np.cos(angle))) * pixels - 0.5
-    return cv2.remap(grey, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR)
