@@ -47,6 +47,7 @@ def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path:
 
 
 PLACED = "frame,method,object,range_m,bearing_deg,landmark,score,declared"
+RIGHT = [f"{n},framework,1,2.0,0,1,.9,1" for n in range(10, 20)]
 
 
 def plain_logs(root: Path, estimates: dict[str, list[str]], truth: list[str]) -> Path:

@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from sonarrec.errors import listed
 from sonarrec.evaluation.plots import PUBLISHED
 from tests.studies.results.record import ROOT, read, stale
 
@@ -93,7 +92,7 @@ def _scenes() -> tuple[list[list[str]], str]:
     shown |= {KINDS[kind]: kinds[kind] for kind in (lowest, highest)}
     cells = [[of, *_cells(row[f"`{name}`"] for name in METHODS)] for of, row in shown.items()]
     default, offline = (
-        listed([row[f"`{name}`, false"].split()[0] for row in shown.values()])
+        ", ".join(row[f"`{name}`, false"].split()[0] for row in shown.values())
         for name in METHODS[1:]
     )
     false = f"`default` makes {default} false claims in 100 frames, `offline` {offline}"
