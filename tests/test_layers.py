@@ -44,7 +44,7 @@ MOST_LINES = {
     "mapping": 1400,
     "overlays": 624,
     "readers": 6295,
-    "recogniser": 5621,
+    "recogniser": 5615,
     "reports": 2330,
     "results": 1991,
     "runs": 1626,
