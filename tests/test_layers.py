@@ -44,7 +44,7 @@ MOST_LINES = {
     "mapping": 1466,
     "overlays": 633,
     "readers": 6399,
-    "recogniser": 5679,
+    "recogniser": 5673,
     "reports": 2673,
     "results": 1979,
     "runs": 1611,

@@ -14,7 +14,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, Identification, rounded_steps
-from sonarrec.records import Estimate
+from sonarrec.records import Estimate, Selection
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.
@@ -35,6 +35,20 @@ def wins(probabilities: FloatArray) -> BoolArray:
     if not len(beliefs):
         return np.empty(0, bool)
     return np.asarray(beliefs.argmax(axis=0)[beliefs.argmax(axis=1)] == np.arange(len(beliefs)))
+
+
+def of_candidates(selection: Selection) -> Table:
+    """A frame's candidates as estimates are made of them, with the columns of tracks."""
+    n = len(selection.positions)
+    return Table(
+        number=np.arange(n),
+        position=selection.positions,
+        spread=np.full((n, 2), np.nan),
+        existence=selection.scores,
+        sight_deg=np.zeros(n),
+        shown=np.ones(n, bool),
+        episode=np.zeros(n, int),
+    )
 
 
 class Estimates:
@@ -60,27 +74,11 @@ class Estimates:
         return self._estimates(method, stacked(frames), beliefs, scores, self.declare)
 
     def of_candidates(
-        self,
-        method: str,
-        positions: Sequence[FloatArray],
-        scores: Sequence[FloatArray],
-        identity: Identification,
+        self, method: str, candidates: Table, identity: Identification
     ) -> list[Estimate]:
-        """SMI's estimates of the candidates of some frames, without standard errors.
-
-        positions, scores: of each frame's candidates, as in Selection. identity: of all, n.
-        """
-        objects = Table(
-            number=np.concatenate([np.arange(len(p)) for p in positions]),
-            position=np.concatenate(positions),
-            spread=np.full((len(identity.rotation), 2), np.nan),
-            existence=np.concatenate(scores),
-            sight_deg=0.0,
-            shown=True,
-            episode=0,
-        )
+        """SMI's estimates of n candidates, without standard errors."""
         least = self._config.smi.declare
-        return self._estimates(method, objects, identity.beliefs, identity.score, least)
+        return self._estimates(method, candidates, identity.beliefs, identity.score, least)
 
     def _estimates(
         self, method: str, objects: Table, beliefs: Beliefs, scores: FloatArray, threshold: float

@@ -14,11 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, ByteImage, FloatArray, Table
+from sonarrec.arrays import ByteImage, Columns, Table, stacked
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.recogniser.estimates import Estimates
+from sonarrec.recogniser.estimates import Estimates, of_candidates
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.plane import Plane, working_plane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
@@ -40,20 +40,17 @@ FRAMEWORK = "framework"
 class Tracked:
     """One frame after stage 2, with what stage 3 needs of its image.
 
-    motion: of the sonar since the frame before. candidates: (n, 2) working pixels. scores: (n,) of
-    stage 1. tracks: those in view, with their evidence. stretch: as in Frame. shapes: two arrays
-    (n, L, ANGLES), the candidates' shape matrices and which of their cells lie inside the fan;
-    empty for plates.
+    motion: of the sonar since the frame before. candidates: their columns as in Estimates, best
+    first; of discs also grey, seen: (n, L, ANGLES) the shape matrices, and which of their cells lie
+    inside the fan. tracks: those in view, with their evidence. stretch: as in Frame.
     """
 
     index: int
     timestamp_ns: int
     motion: Motion | None
-    candidates: FloatArray
-    scores: FloatArray
+    candidates: Table
     tracks: Table
     stretch: int
-    shapes: tuple[FloatArray, BoolArray] | tuple[()] = ()
 
 
 class Measurement(Protocol):
@@ -123,18 +120,16 @@ class ThreeStages(ABC):
             index=frame.index,
             timestamp_ns=frame.timestamp_ns,
             motion=motion,
-            candidates=candidates.positions,
-            scores=candidates.scores,
+            candidates=of_candidates(candidates).with_columns(**shapes),
             tracks=tracks,
             stretch=frame.stretch,
-            shapes=shapes,
         )
 
     @abstractmethod
     def _follow(
         self, image: ByteImage, candidates: Selection, motion: Motion | None
-    ) -> tuple[Table, tuple[FloatArray, BoolArray] | tuple[()]]:
-        """The tracks in view with their evidence, and the candidates' shapes, as in Tracked."""
+    ) -> tuple[Table, Columns]:
+        """The tracks in view with their evidence, and the candidates' shape matrices."""
 
     def stage3(self, frames: Sequence[Tracked]) -> list[FrameResult]:
         """Bayesian feature estimation (Section 3.4): which landmark is each object?
@@ -147,7 +142,7 @@ class ThreeStages(ABC):
         beliefs = self._measurement.beliefs(tracks)
         tracked = self._estimates.of_tracks(self.method, tracks, beliefs)
         # Each frame gets the estimates of its own candidates, then those of its own tracks.
-        of_candidates, of_tracks = iter(self.single_frame_estimates(frames)), iter(tracked)
+        by_smi, of_tracks = iter(self.single_frame_estimates(frames)), iter(tracked)
         return [
             FrameResult(
                 index=f.index,
@@ -155,7 +150,7 @@ class ThreeStages(ABC):
                 candidates=len(f.candidates),
                 tracks=len(f.tracks),
                 estimates=(
-                    *islice(of_candidates, len(f.candidates)),
+                    *islice(by_smi, len(f.candidates)),
                     *islice(of_tracks, len(f.tracks)),
                 ),
                 motion=f.motion,
@@ -232,7 +227,7 @@ class DiscStages(ThreeStages):
 
     def _follow(
         self, image: ByteImage, candidates: Selection, motion: Motion | None
-    ) -> tuple[Table, tuple[FloatArray, BoolArray]]:
+    ) -> tuple[Table, Columns]:
         # Track the candidates by groups of particles (Eq. 3 and 4).
         tracks = self._track.step(candidates, motion)
         # Sample the shape matrices (Section 3.4.2) of the candidates, then of the tracks. Those of
@@ -245,12 +240,11 @@ class DiscStages(ThreeStages):
         grey, seen = self._sample(image, self.plane.inside, positions, sight, *levels)
         # Average those of the tracks.
         evidence = self._measurement.gather(grey[n:], seen[n:])
-        return tracks.with_columns(**evidence), (grey[:n], seen[:n])
+        return tracks.with_columns(**evidence), {"grey": grey[:n], "seen": seen[:n]}
 
     def single_frame_estimates(self, frames: Sequence[Tracked]) -> list[Estimate]:
         if self._smi is None:
             return []
-        grey, seen = zip(*(f.shapes for f in frames), strict=True)
-        identified = self._identify(np.concatenate(grey), np.concatenate(seen))
-        positions, scores = [f.candidates for f in frames], [f.scores for f in frames]
-        return self._estimates.of_candidates(self._smi, positions, scores, identified)
+        candidates = stacked([f.candidates for f in frames])
+        identified = self._identify(candidates["grey"], candidates["seen"])
+        return self._estimates.of_candidates(self._smi, candidates, identified)

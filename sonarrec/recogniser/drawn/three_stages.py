@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sonarrec.arrays import ByteImage, FloatImage, Table
+from sonarrec.arrays import ByteImage, Columns, FloatImage, Table
 from sonarrec.config import Config
 from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
@@ -63,11 +63,11 @@ class PlateStages(ThreeStages):
 
     def _follow(
         self, image: ByteImage, candidates: Selection, motion: Motion | None
-    ) -> tuple[Table, tuple[()]]:
+    ) -> tuple[Table, Columns]:
         # Track the candidates by groups of particles (Eq. 3 and 4), and fit a pose to each plate.
         tracks = self._plates.step(image, candidates, motion)
         # Average the pictures of the plates along their tracks.
-        return tracks.with_columns(**self._measurement.gather()), ()
+        return tracks.with_columns(**self._measurement.gather()), {}
 
 
 def pose_fitter(config: Config, fan: Fan, landmarks: DrawnSet) -> PoseFitter:

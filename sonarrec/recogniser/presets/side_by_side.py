@@ -154,7 +154,9 @@ class SideBySide:
             image = stages.working_image(frame)
             candidates = stages.stage1(image)
             tracked[stages] = stages.stage2(frame, image, candidates)
-        best = max((tracked[s].scores.max(initial=0) for s in self._rings), default=0)
+        best = max(
+            (tracked[s].candidates["existence"].max(initial=0) for s in self._rings), default=0
+        )
         self.sizes.inspect(frame, best)
         return tracked
 
