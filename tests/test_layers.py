@@ -36,21 +36,21 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1089,
-    "cli": 3119,
+    "cli": 3122,
     "drawing": 696,
     "evaluation": 3420,
     "geometry": 418,
     "learning": 539,
     "mapping": 1466,
     "overlays": 633,
-    "readers": 6304,
+    "readers": 6309,
     "recogniser": 5834,
     "reports": 2368,
     "results": 2000,
     "runs": 1626,
     "simulation": 2614,
-    "tables": 1072,
-    "truth": 1219,
+    "tables": 1085,
+    "truth": 1221,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""
