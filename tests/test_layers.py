@@ -36,21 +36,21 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1085,
-    "cli": 3098,
+    "cli": 3105,
     "drawing": 696,
     "evaluation": 3098,
     "geometry": 437,
     "learning": 524,
     "mapping": 1466,
     "overlays": 633,
-    "readers": 6399,
+    "readers": 6404,
     "recogniser": 5673,
-    "reports": 2673,
+    "reports": 2677,
     "results": 1979,
     "runs": 1611,
     "simulation": 2614,
-    "tables": 1063,
-    "truth": 1219,
+    "tables": 1076,
+    "truth": 1221,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -89,6 +89,7 @@ def test_a_line_that_is_no_toml_is_answered_by_how_it_is_written(line: str, mean
         ("frame,landmark,cx,cy", "x_px, y_px"),
         ("frame,landmark,slant_range,azimuth", "range_m, bearing_deg"),
         ("frame,id,x_px,y_px", "id to landmark"),
+        ("Frame,landmark,x_px,y_px", "Frame to frame"),
         ("frame;landmark;x_px;y_px", "commas"),
     ],
 )
@@ -107,6 +108,9 @@ def test_columns_of_other_programs_are_told_as_ours(header: str, meant: str) -> 
         ("truth check dive truth.csv", "table first"),
         ("calibrate sonarrec_out/dive -o m.toml", "the log is dive"),
         ("calibrate truth.csv -o m.toml", "a table, not a log"),
+        ("run dive -landmarks basin", "--landmarks?"),
+        ("run dive --config dive/sonar.toml", "--sonar"),
+        ("run dive --sonar truth.csv", "CSV"),
     ],
 )
 @pytest.mark.usefixtures("here")

@@ -120,10 +120,13 @@ class GroupedCommand(click.Command):
             option, is_set, value = str(word).partition("=")
             if not word or (option.startswith("--") and is_set and not value):
                 raise UsageError(f"empty argument after {option or before}; is a variable unset?")
+        known = {name for param in self.params for name in param.opts}
+        single = [f"-{word}" for word in args if f"-{word.partition('=')[0]}" in known]
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if not (advice := advice_on(error.option_name)):
+            advice = f"Did you mean {single[0]}?" if single else advice_on(error.option_name)
+            if not advice:
                 raise
             message = f"{error.message} {advice}"
             raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None

@@ -203,9 +203,13 @@ def row_cells(info: LogInfo) -> Iterator[tuple[str, str, str, str, str]]:
         name = info.path if images.topic is None or not info.images[1:] else images.topic
         sound = ["whole" if info.checked else "not checked"]
         state = "; ".join([*(broken + lacks or sound), *notes])
-        yield name, frames, span, ", ".join(_stated(images.geometry)[:2]) or "-", state
+        brief = {key: images.geometry[key] for key in BRIEFLY if key in images.geometry}
+        if beams := images.geometry.get("bearings_deg"):
+            brief["field_of_view_deg"] = round(max(beams) - min(beams), 2)
+        yield name, frames, span, ", ".join(_stated(brief)) or "-", state
 
 
+BRIEFLY = ("range_min_m", "range_max_m", "field_of_view_deg")
 ROW_HEADS = ("log", "frames", "span", "geometry", "state")
 
 

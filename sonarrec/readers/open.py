@@ -34,6 +34,7 @@ from sonarrec.readers.raw import RawLog, Recording
 from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART
 from sonarrec.sonar import Sonar, load_sonar
 from sonarrec.tables import natural_order, something_else
+from sonarrec.tables.outputs import is_output
 from sonarrec.tables.toml import read_toml
 
 SONAR_FILE = "sonar.toml"
@@ -367,6 +368,10 @@ def _reader_of(path: Path) -> Reader:
         raise SonarrecError(
             f"{path}: not a kind of log this program reads "
             f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"
+        )
+    if head and is_output(path, "video"):
+        raise SonarrecError(
+            f"{path}: a video that `sonarrec overlay` made, not a log; give its log"
         )
     if reader is not _IMAGES and not head:
         raise SonarrecError(f"{path}: the file is empty (zero bytes)")

@@ -109,7 +109,10 @@ def report(
     evaluation = _evaluate(Path(results), folders, truth_file, options, diagnostics, left_out)
     to_show = _of_one_set(folders, evaluation, options, diagnostics, left_out)
     reported, unread = read_logs(to_show, options)
-    mistakes = {} if evaluation is None else _mistakes(evaluation, reported[0].tracker)
+    rows = all_logs(Path(results), folders, evaluation, left_out)
+    mistakes = {}
+    if evaluation is not None:
+        mistakes = _mistakes(evaluation, reported[0].tracker, several=len(rows) > 1)
     sonar = options.sonar or Sonar()
     pictures, shown, missing = _draw_all(reported, mistakes, (given, folders), sonar, topic)
     if evaluation is None:
@@ -117,7 +120,6 @@ def report(
             *(line for log in reported for line in why_incomplete(log.results, "shown"))
         )
     unused = (*diagnostics.problems, *unread, *missing)
-    rows = all_logs(Path(results), folders, evaluation, left_out)
     page = render(reported, evaluation, mistakes, truth_file, pictures, shown, unused, rows)
     write_page(path, page)
     held = sum(len(log["frames"]) for log in shown)
@@ -182,11 +184,13 @@ def _of_one_set(
     return [*to_show, *(LogToShow(f) for f in folders if f not in {*scored, *others})]
 
 
-def _mistakes(evaluation: Evaluation, first: str) -> dict[str, list[SharedMistake]]:
-    """The mistakes of each method, of several logs those of the first alone."""
+def _mistakes(
+    evaluation: Evaluation, first: str, *, several: bool
+) -> dict[str, list[SharedMistake]]:
+    """The mistakes of each method, on the page of several logs those of the first alone."""
     logs = len(evaluation.folders)
     methods = sorted(evaluation.counts.methods, key=lambda method: method != first)
-    if logs > 1:  # of many logs those of the others would be most of the page
+    if several:  # those of the others would be most of the page
         methods = [first]
     return {method: shared(evaluation.counts.mistakes, method, logs) for method in methods}
 

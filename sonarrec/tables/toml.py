@@ -86,10 +86,21 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     return table
 
 
+_OPTION_OF = {
+    "sonar": "--sonar",
+    "landmark": "--landmarks",
+    **dict.fromkeys(("candidates", "continuity", "features", "smi"), "--config"),
+}
+"""Of keys of one kind of file the option that takes it."""
+
+
 def _how_to_write(text: str, fault: str) -> str:
     """What is usually meant where a text is not TOML; empty: not known."""
     if "overwrite" in fault:
         return "; a key stands there twice: delete one"
+    first = text.partition("\n")[0]
+    if "," in first and "=" not in first:
+        return "; it seems to be a CSV table: give a TOML file"
     number = re.search(r"\(at line (\d+),", fault)
     line = "".join(text.splitlines()[int(number[1]) - 1 : int(number[1])] if number else [])
     for form, how in _SLIPS:
@@ -165,6 +176,8 @@ def from_table(
         label = f"{section}.{_key(key)}" if section else _key(key)
         if key not in names:
             listed = f"; known{inside or ' keys'}: {', '.join(names)}"
+            if not section and key in _OPTION_OF:
+                listed = f", which belongs to a file for {_OPTION_OF[key]}{listed}"
             raise SonarrecError(f"{where}: unknown key {label}{_meant(str(key), names) or listed}")
         name = names[key].name
         wanted: Any = types[name]

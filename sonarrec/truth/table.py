@@ -117,6 +117,8 @@ def read_rows(path: Path) -> TruthTable:
     if key not in table:
         seconds = next((name for name in others if name.lower() in _SECONDS), None)
         how = f"expected a header such as {HEADER}"
+        for name, near in mistaken_columns(others, [*_KINDS], {"frame", "timestamp_ns"}):
+            how += f"; rename {name} to {near}" if near else ""
         if seconds is not None:
             how = f"multiply {seconds} by 1e9 if it is in seconds, and call it timestamp_ns"
         raise SonarrecError(f"{path}: wrong columns, neither frame nor timestamp_ns; {how}")
