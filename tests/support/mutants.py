@@ -66,7 +66,7 @@ def changes(node: ast.AST) -> Iterator[tuple[str, str]]:
             yield "boolean", f"({ast.unparse(ast.BoolOp(OTHER[type(op)](), values))})"
         case ast.UnaryOp(ast.Not(), operand):
             yield "boolean", f"bool({ast.unparse(operand)})"
-        case ast.Return(value) if value is not None:
+        case ast.Return(value) if value is not None and ast.unparse(value) != "None":
             yield "return", "return None"
         case ast.Call(func, [first, second, *rest], keywords):
             starred = isinstance(first, ast.Starred) or isinstance(second, ast.Starred)
