@@ -19,7 +19,11 @@ os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 # The same examples each time; and each may take as long as it does: a slow machine fails no test.
 settings.register_profile(
-    "ours", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    "ours",
+    derandomize=True,
+    deadline=None,
+    max_examples=50,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("ours")
 

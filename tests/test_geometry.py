@@ -80,7 +80,7 @@ def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
         np.testing.assert_allclose(back, (range_m, bearing), atol=1e-8)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(sonars, st.integers(20, 120))
 def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
     """Every point of the window falls into the image, and no row or column is there for nothing."""

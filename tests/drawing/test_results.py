@@ -33,7 +33,7 @@ def painted(picture: np.ndarray, colour: tuple[int, int, int], within: int = 0) 
     return np.argwhere(away.max(axis=2) <= within)[:, ::-1]
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     height=st.floats(0.2, 1.0),
     range_m=st.floats(1.4, 3.5),

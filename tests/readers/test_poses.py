@@ -50,7 +50,7 @@ def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float
 pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
 
 
-@settings(max_examples=80)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     before=pose,
@@ -231,7 +231,7 @@ def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
 angle = st.floats(-1.3, 1.3)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     yaw=st.floats(-math.pi, math.pi),
     pitch=angle,

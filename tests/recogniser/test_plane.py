@@ -31,7 +31,7 @@ def still_circle(range_m, bearing_deg, height_m, radius_m=0.15):
     return np.sqrt(x**2 + y**2 + height_m**2), np.degrees(np.arctan2(x, y)), angle
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     window=st.sampled_from(WINDOWS),
@@ -94,7 +94,7 @@ def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg
     assert across == pytest.approx(along, rel=0.05)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     range_m=st.floats(1.3, 3.7),
@@ -201,7 +201,7 @@ def test_a_ping_of_another_window_lies_where_the_fan_of_the_log_has_it():
     assert not found[range_m > 2.75].any()
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
     ahead_m=st.floats(1.0, 3.0),

@@ -133,7 +133,7 @@ def test_identify_is_the_counting_of_cells_written_out(seed):
         assert found.ring[n] == pytest.approx(np.mean(bright))
 
 
-@settings(max_examples=100)
+@settings(max_examples=30)
 @given(data=st.data())
 def test_otsu_parts_8_bit_values_as_opencv_does(data):
     size = data.draw(st.integers(2, 60))

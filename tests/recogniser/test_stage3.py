@@ -65,7 +65,7 @@ def test_convergence_is_as_slow_as_the_paper_s_rule_makes_it(frames, belief):
     assert p[0, 0] == pytest.approx(belief, abs=3e-3)
 
 
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(data=st.data(), n=st.integers(1, 4), k=st.integers(2, 6))
 def test_update_is_equations_6_to_8_written_out(data, n, k):
     predicted, q = data.draw(rows_of((n, k))), data.draw(rows_of((n, k)))
@@ -135,7 +135,7 @@ def test_a_high_power_of_a_long_way_is_no_0_over_0():
     assert same.tolist() == [[1.0, pytest.approx(0, abs=1e-100)]]
 
 
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(now=positions, before=positions, power=st.sampled_from([1.0, 2.0, 4.0]))
 def test_motion_model_rows_sum_to_one_and_follow_inverse_distance(now, before, power):
     same = motion_model(np.array(now, float), np.array(before, float), power)
@@ -201,7 +201,7 @@ def test_a_new_track_may_take_its_neighbours_belief_by_eq_5():
     np.testing.assert_allclose(new, update(mixed, ideal_q(3)[None], model))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(beliefs=st.integers(0, 6).flatmap(lambda n: rows_of((n, 3)) if n else st.just(None)))
 def test_an_id_goes_to_the_one_object_for_which_it_is_most_probable(beliefs):
     """The rule in words, object by object."""

@@ -20,7 +20,7 @@ from tests.support.pages import random_results, reported
 
 
 @given(st.lists(st.floats(0, 1) | st.just(np.nan), min_size=1, max_size=3000), st.integers(2, 400))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_thinning_keeps_peaks_and_dips(values: list[float], most: int) -> None:
     y = np.array(values)
     kept = charts.thinned(y, most)

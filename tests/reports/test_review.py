@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -11,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ from sonarrec.results.read import read_log
 from sonarrec.truth.match import share_in_image
 from tests.support.browser import COLOURS, contrast
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.drawn import make_fan
+from tests.support.drawn import SECTORS, make_fan
 from tests.support.pages import as_written
 from tests.support.review_page import Page
 from tests.support.rows import read_rows
@@ -208,6 +210,22 @@ def test_frames_that_are_chosen_and_those_that_fit_in(
     assert len(set(steps)) == 1
     review(folder, "--frames", "200:210", code=2)
     review(folder, "--frames", "x", code=2)
+
+
+def test_the_picture_of_a_pass_has_its_first_sector_at_the_right(ran: Path) -> None:
+    """Counter-clockwise from there, as a landmark file has them; of the sample's ID.1 and ID.3."""
+    shown = [p for p in data_of(review(ran))["passes"] if p["picture"]]
+    assert {p["landmark"] for p in shown} == {1, 3}
+    for seen in shown:
+        data = np.frombuffer(base64.b64decode(seen["picture"].partition(",")[2]), np.uint8)
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        assert picture is not None
+        y, x = np.mgrid[1:-1:64j, -1:1:64j] * 1.3  # radii of the disc
+        symbol = np.hypot(x, y) < 0.55
+        quarter = (np.arctan2(y, x) // (np.pi / 2)).astype(int) % 4
+        mean = [picture[symbol & (quarter == n)].mean() for n in range(4)]
+        bright = [n for n in range(4) if SECTORS[seen["landmark"]][n]]
+        assert set(np.argsort(mean)[-len(bright) :]) == set(bright)
 
 
 def test_results_of_another_log_and_none(ran: Path, tmp_path: Path) -> None:

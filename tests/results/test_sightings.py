@@ -95,7 +95,7 @@ claims = st.tuples(
 
 
 @given(st.lists(claims, max_size=60))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_every_figure_is_what_numpy_says_of_the_pass(rows: list[tuple]) -> None:
     """Against runs cut out of all the declarations at once."""
     frames: dict[int, list[Estimate]] = defaultdict(list)

@@ -66,7 +66,7 @@ def changes(node: ast.AST) -> Iterator[tuple[str, str]]:
             yield "boolean", f"({ast.unparse(ast.BoolOp(OTHER[type(op)](), values))})"
         case ast.UnaryOp(ast.Not(), operand):
             yield "boolean", f"bool({ast.unparse(operand)})"
-        case ast.Return(value) if value is not None:
+        case ast.Return(value) if value is not None and ast.unparse(value) != "None":
             yield "return", "return None"
         case ast.Call(func, [first, second, *rest], keywords):
             starred = isinstance(first, ast.Starred) or isinstance(second, ast.Starred)
@@ -90,7 +90,8 @@ def all_mutants() -> dict[str, list[Mutant]]:
                 for kind, text in changes(node):
                     file = path.relative_to(ROOT).as_posix()
                     found[kind].append(Mutant(file, start, end, text, is_global))
-            if isinstance(node, ast.JoinedStr):  # Python 3.11 does not say where its parts are
+            # Python 3.11 does not say where parts of f-strings are; zip's strict has no effect.
+            if isinstance(node, ast.JoinedStr) or getattr(node, "arg", None) == "strict":
                 continue
             inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
             for field, value in ast.iter_fields(node):

@@ -204,7 +204,7 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     assert sorted(559 - row[2] for row in mirrored) == pytest.approx([row[2] for row in rows])
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.floats(1.6, 3.4), st.floats(-16, 16), st.floats(0.05, 0.2))
 def test_share_inside_a_bearing_edge_is_a_circular_segment(
     range_m: float, bearing_deg: float, radius_m: float
