@@ -386,3 +386,12 @@ def test_nothing_is_written_through_a_link_in_the_place_of_the_results(tmp_path:
     with pytest.raises(SonarrecError, match="out/short"):
         run(log, out, overwrite=True)
     assert sorted(p.name for p in disk.rglob("*")) == before
+
+
+def test_pages_of_results_that_were_replaced_are_told_and_of_no_others(tmp_path: Path) -> None:
+    log, out = short(tmp_path), tmp_path / "out"
+    sonarrec("run", "-q", log, "-o", out)
+    (out / "report.html").write_text("a page")
+    run = ("run", log, "-o", out)
+    assert "report.html" not in sonarrec(*run).output  # up to date
+    assert "report.html" in sonarrec(*run, "--overwrite").stderr

@@ -34,6 +34,8 @@ OTHER |= {ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.N
 OTHER |= {ast.NotIn: ast.In, ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div}
 OTHER |= {ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.Pow: ast.Mult}
 OTHER |= {ast.And: ast.Or, ast.Or: ast.And}
+WITHOUT_EFFECT = ("strict", "frozen", "slots")  # keywords
+EITHER_ORDER = ("max", "maximum", "min", "minimum", "hypot")
 
 
 class Mutant(NamedTuple):
@@ -70,7 +72,8 @@ def changes(node: ast.AST) -> Iterator[tuple[str, str]]:
             yield "return", "return None"
         case ast.Call(func, [first, second, *rest], keywords):
             starred = isinstance(first, ast.Starred) or isinstance(second, ast.Starred)
-            if not starred and ast.unparse(first) != ast.unparse(second):
+            same = ast.unparse(first) == ast.unparse(second)
+            if not starred and not same and ast.unparse(func).split(".")[-1] not in EITHER_ORDER:
                 yield "order", ast.unparse(ast.Call(func, [second, first, *rest], keywords))
 
 
@@ -90,8 +93,8 @@ def all_mutants() -> dict[str, list[Mutant]]:
                 for kind, text in changes(node):
                     file = path.relative_to(ROOT).as_posix()
                     found[kind].append(Mutant(file, start, end, text, is_global))
-            # Python 3.11 does not say where parts of f-strings are; zip's strict has no effect.
-            if isinstance(node, ast.JoinedStr) or getattr(node, "arg", None) == "strict":
+            # Python 3.11 does not say where parts of f-strings are.
+            if isinstance(node, ast.JoinedStr) or getattr(node, "arg", None) in WITHOUT_EFFECT:
                 continue
             inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
             for field, value in ast.iter_fields(node):
