@@ -36,7 +36,7 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1089,
-    "cli": 3122,
+    "cli": 3126,
     "drawing": 696,
     "evaluation": 3420,
     "geometry": 418,
@@ -45,7 +45,7 @@ MOST_LINES = {
     "overlays": 633,
     "readers": 6309,
     "recogniser": 5834,
-    "reports": 2368,
+    "reports": 2372,
     "results": 2000,
     "runs": 1626,
     "simulation": 2614,
