@@ -49,7 +49,7 @@ MOST_LINES = {
     "results": 2000,
     "runs": 1626,
     "simulation": 2614,
-    "tables": 1085,
+    "tables": 1087,
     "truth": 1221,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
