@@ -49,7 +49,7 @@ MOST_LINES = {
     "results": 1979,
     "runs": 1611,
     "simulation": 2614,
-    "tables": 1076,
+    "tables": 1078,
     "truth": 1221,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

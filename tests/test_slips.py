@@ -142,6 +142,12 @@ def test_pictures_of_results_may_lie_next_to_photos(here: Path) -> None:
     for out in ("shots", "shots.mp4"):
         sonarrec("overlay", "dive", "-o", out)
     assert "photo" in refused("info", "dive", "--preview", "p.png")
+    # A single image with its sonar.toml is a log, too, next to which its results may lie.
+    (here / "one").mkdir()
+    shutil.copy(here / "dive" / "000001.png", here / "one" / "pic.png")
+    shutil.copy(here / "dive" / "sonar.toml", here / "one")
+    sonarrec("run", "one/pic.png", "-o", "out")
+    sonarrec("overlay", "one/pic.png", "out", "-o", "one/drawn")
     for out in ("dive/x.mp4", "dive/shots"):
         assert "become a part" in refused("overlay", "dive", "-o", out)
 

@@ -123,17 +123,19 @@ def below(results: Path, name: str) -> Path:
 def check_distinct(path: Path, *, is_image: bool = False) -> None:
     """Raise UsageError if an image, a video or an MCAP would become a part of a recording.
 
-    A folder is one if it holds images of others and a sonar.toml, or several whose names differ
-    in numbers alone; and the folder of a bag is one. is_image: only an image would become a part
-    of such images without a sonar.toml.
+    A folder is one if it holds several images of others whose names differ in numbers alone; and
+    the folder of a bag is one. is_image: of an image it is one also with a single image and a
+    sonar.toml; of other outputs only with a sonar.toml, since they do not mix with photos.
     """
     folder, forms = path.parent, Counter[str]()
     is_stated = (folder / "sonar.toml").exists()
     is_recording = (folder / "metadata.yaml").exists()
+    enough = 1 if is_stated and is_image else _SEVERAL
     with writing(folder):
-        for image in () if is_recording else _images_of_others(folder):
+        for image in _images_of_others(folder) if is_stated or is_image else ():
             forms[form := re.sub("[0-9]+", "#", image.name)] += 1
-            if is_recording := is_stated or (is_image and forms[form] == _SEVERAL):
+            if forms[form] == enough:
+                is_recording = True
                 break
     if is_recording:
         parts = "a bag" if not forms else f"images such as {image.name}"
