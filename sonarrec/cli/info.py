@@ -82,11 +82,11 @@ def info(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Show what is in LOG, whether it is complete, and how `run` would read it; of several logs a
-    row each.
+    """Show what is in LOG, whether it is complete, and how `run` would read it.
 
-    LOG is as in `sonarrec run`. It is checked which frames can be used, unless --quick is given.
-    An incomplete geometry is no fault. Exit code 3: part of the log cannot be used; 1: none can.
+    LOG is as in `sonarrec run`; several get a row each. It is checked which frames can be used,
+    unless --quick is given. An incomplete geometry is no fault. Exit code 3: part of the log cannot
+    be used; 1: none can.
 
     \b
     Examples:

@@ -468,7 +468,9 @@ def test_the_picture_has_the_path_in_the_colours_of_the_ids_where_it_was(
     monkeypatch.setattr(Axes, "plot", kept)
     draw_map(mapped / "map.png", make_map([mapped.parent]))
     np.testing.assert_allclose(drawn["path of the sonar"], there_and_back()[:, 1:], atol=1e-6)
-    np.testing.assert_allclose(drawn["its first place"], [there_and_back()[0, 1:]], atol=1e-6)
+    np.testing.assert_allclose(
+        drawn["first place of the sonar"], [there_and_back()[0, 1:]], atol=1e-6
+    )
 
 
 @pytest.mark.slow

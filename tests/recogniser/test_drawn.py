@@ -26,9 +26,10 @@ from sonarrec.recogniser.drawn.drawings import (
 )
 from sonarrec.recogniser.drawn.model import built_in_model
 from sonarrec.recogniser.drawn.pose import Fit
-from sonarrec.recogniser.drawn.stage2 import Plates, _Plate
+from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
+from sonarrec.recogniser.tracks import Tracks
 from sonarrec.records import Frame, Selection
 from sonarrec.runs.run import Recogniser
 from sonarrec.simulation.render import render
@@ -123,17 +124,17 @@ def test_a_simulated_tag_is_claimed_where_it_is(pose: PlatePose) -> None:
 def test_a_plate_that_was_found_is_the_only_peak_about_it() -> None:
     """Else stage 1's peaks on its cells begin groups of their own."""
     fitter = pose_fitter(preset("default"), make_fan(height_m=None), family())
-    groups = ContinuityFilter(Continuity(), fitter.plane, np.random.default_rng(0))
-    plates, half = Plates(fitter, groups), fitter.plane.axes[0]
+    tracks = Tracks()
+    groups = ContinuityFilter(Continuity(), fitter.plane, tracks, np.random.default_rng(0))
+    plates, half = Plates(fitter, tracks, groups), fitter.plane.axes[0]
     rows, columns = fitter.plane.inside.shape
     middle = np.array([columns / 2, rows / 2])
     pose = np.array([*middle, half, 0, 0, half])
     fit = Fit(pose, np.full(7, 0.8, np.float32), 0, 0, np.zeros((FINE, FINE), np.float32), 3.0)
-    plates._plates[0] = _Plate(fit, seen=True, began=0)
     score = np.full((rows, columns), 0.5, np.float32)
     near, far = middle + np.array([[half, 0], [2 * half, 0]])
     kept = np.array([near, far])
-    led = plates.lead(Selection(score, kept, np.array([0.5, 0.5]), score, score))
+    led = plates.lead(Selection(score, kept, np.array([0.5, 0.5]), score, score), [fit])
     assert led.positions.tolist() == [middle.tolist(), far.tolist()]
     assert led.scores.tolist() == pytest.approx([0.8, 0.5])
     y, x = np.mgrid[:rows, :columns]

@@ -158,11 +158,7 @@ def test_a_rotation_between_two_steps_lies_between_them(share: float) -> None:
     """The log odds of ID.1 rotated by a part of a step: those of two steps, mixed."""
     lit = 8.0 * (2 * CODES[:, 0] - 1)
     mixed = (1 - share) * lit[[10]] + share * lit[[11]]
-    layers = np.zeros((1, ANGLES, READ.layers(drawn(1, 0))[0].shape[2]))
-    layers[0, :, -1] = 1
-    weights = WEIGHTS | {"lit": np.eye(1, layers.shape[2], layers.shape[2] - 1)[0]}
-    layers *= mixed[0][None, :, None]
-    reading = Reader(weights, CODES).reading(layers, READ.layers(drawn(1, 0))[1])
+    reading = READ.judged(mixed, np.zeros(1), np.zeros(1))
     assert reading.rotation[0, 0] == pytest.approx(10 + share, abs=0.03)
 
 
