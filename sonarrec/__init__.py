@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    __version__: str
     from sonarrec.api.evaluate import compare, evaluate
     from sonarrec.api.run import run
     from sonarrec.config import preset
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
     from sonarrec.runs.run import Recogniser
     from sonarrec.simulation.simulate import simulate
 
+# Stated here, because looking it up in the installed package takes longer than loading click.
+__version__ = "0.2.0"
 # OpenCV reads this when it is loaded: it refuses image files whose headers state more than
 # 4096 x 4096 pixels, before it allocates them.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**24))
@@ -61,8 +62,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        return import_module(f"{__name__}.records").VERSION
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sonarrec.arrays import IntArray
-from sonarrec.records import NO_STAMPS, Clock, Stamps
+from sonarrec.sonar.frame import NO_STAMPS, Clock, Stamps
 
 # A pause is longer than LEAST_PAUSE_NS and than PAUSE_STEPS times the longest of the last
 # KNOWN_STEPS steps: a sonar that sends in bursts, or a slow one, has no pauses. What is longer than

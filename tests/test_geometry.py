@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import (
+from sonarrec.sonar.geometry import (
     MAX_SIDE,
     PolarToFan,
     Resampling,
@@ -26,7 +26,7 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.sonar.stated import Sonar, load_sonar
 
 BASIN = Sonar(
     layout="fan",

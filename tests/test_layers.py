@@ -14,11 +14,9 @@ from sonarrec.cli import COMMANDS
 
 FLOORS = (
     {"arrays", "errors"},
-    {"records"},
-    {"passes", "stretches"},
-    {"tables"},
-    {"config", "sonar", "landmarks"},
-    {"geometry"},
+    {"passes", "tables"},
+    {"config", "landmarks", "sonar"},
+    {"stretches"},
     {"recogniser", "readers", "results", "drawing"},
     {"truth", "runs"},
     {"evaluation", "overlays", "mapping"},
@@ -36,21 +34,21 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1085,
-    "cli": 3105,
+    "cli": 3106,
     "drawing": 696,
     "evaluation": 3098,
-    "geometry": 437,
     "learning": 524,
     "mapping": 1466,
     "overlays": 633,
-    "readers": 6404,
+    "readers": 6403,
     "recogniser": 5673,
-    "reports": 2677,
+    "reports": 2679,
     "results": 1979,
     "runs": 1611,
     "simulation": 2614,
-    "tables": 1078,
-    "truth": 1221,
+    "sonar": 951,
+    "tables": 1083,
+    "truth": 1227,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""
@@ -84,7 +82,7 @@ MAY_IMPORT = {
     "tomli_w": ("results.write", "simulation.simulate"),
     "kornia_rs": ("readers.decode.pixels",),
     "cv2": (
-        "geometry",
+        "sonar.geometry",
         "landmarks",  # pictures of drawn plates
         "drawing",
         "recogniser",
@@ -225,7 +223,7 @@ def faults(sources: Sources) -> list[str]:
             found += [
                 f"{name} imports {other} before a command is run"
                 for other in ours(sources, name, top_level_only=True)
-                if room(other) not in ("cli", "errors", "records")
+                if room(other) not in ("cli", "errors") and other not in ("sonar.frame", "tables")
             ]
         found += [
             f"{name} must not import {package}"
@@ -299,7 +297,7 @@ def test_imports_run_downward_only() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "told"),
     [
-        ("records", "from sonarrec import config", "records imports uphill from config"),
+        ("passes", "from sonarrec import config", "passes imports uphill from config"),
         ("recogniser.plane", "def f():\n    from sonarrec.readers import open_log", "from readers"),
         (
             "recogniser.stage2",

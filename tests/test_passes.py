@@ -7,13 +7,13 @@ import pytest
 
 from sonarrec.arrays import Table
 from sonarrec.evaluation import rows
-from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping import landmarks as mapping
 from sonarrec.mapping.path import NO_DRIFT, path_from_poses
-from sonarrec.records import Estimate
 from sonarrec.reports import review
 from sonarrec.results.sightings import Sightings
+from sonarrec.sonar.frame import Estimate
+from sonarrec.sonar.geometry import PoseTable
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")

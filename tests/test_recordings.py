@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sonarrec
-from sonarrec.records import Estimate
+from sonarrec.sonar.frame import Estimate
 from tests.support.claims import all_scored, evaluate
 from tests.support.clip import family
 from tests.support.rows import read_rows

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.records import Clock, Stamps
+from sonarrec.sonar.frame import Clock, Stamps
 from sonarrec.stretches import Breaks, Rate, Stretches, duration, stretch_numbers
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()

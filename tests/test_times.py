@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from sonarrec.records import date_text, is_date, time_text
+from sonarrec.sonar.frame import date_text, is_date, time_text
 
 MAY = int(datetime(2024, 5, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
 

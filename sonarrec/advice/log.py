@@ -11,13 +11,13 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
-from sonarrec.geometry import fan_mask, floor_depth, pixel_from_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
 from sonarrec.readers.log import Log
-from sonarrec.records import Fan, Frame
 from sonarrec.results.run_file import rerun
 from sonarrec.runs.prepare import PreparedRun
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan, Frame
+from sonarrec.sonar.geometry import fan_mask, floor_depth, pixel_from_polar
+from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.outputs import free_name
 
 _BACKGROUND = 6.0  # grey levels about the commonest one that hold no echo

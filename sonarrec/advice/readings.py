@@ -19,8 +19,8 @@ from sonarrec.advice.truth import FEWEST
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import Advice, number_of
 from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
-from sonarrec.geometry import plane_from_polar, plane_position, polar_from_plane
 from sonarrec.results.read import LogResults
+from sonarrec.sonar.geometry import plane_from_polar, plane_position, polar_from_plane
 from sonarrec.truth.table import TruthTable
 
 MOST_ROWS = 500  # are asked which reading fits; more add nothing

@@ -11,11 +11,11 @@ from sonarrec.advice.truth import of_truth, outside, unread_columns
 from sonarrec.errors import Advice, SonarrecError, command_line
 from sonarrec.evaluation.evaluate import LogTables, LogToScore
 from sonarrec.evaluation.rows import ScoringOptions, match
-from sonarrec.records import Clock
 from sonarrec.results.folders import rerun_left
 from sonarrec.results.read import LogResults
 from sonarrec.runs.recorded import recorded_at
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Clock
+from sonarrec.sonar.stated import Sonar
 from sonarrec.stretches import Breaks
 
 

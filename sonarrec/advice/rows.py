@@ -16,11 +16,11 @@ import numpy as np
 from sonarrec.advice.truth import of_another_geometry, sparse, unread_columns
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
-from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
+from sonarrec.sonar.geometry import ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.check import SLACK, outside_image
 from sonarrec.truth.match import match_times, share_in_image, wrong_unit

@@ -8,8 +8,8 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Advice, listed
-from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import Fan
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import pixel_from_polar
 from sonarrec.truth.check import outside_of_log
 from sonarrec.truth.match import ReadLog, Truth
 from sonarrec.truth.table import TruthTable

@@ -15,7 +15,7 @@ from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import Pair, read_pairs
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
 from sonarrec.evaluation.write import Evaluation, write_evaluation
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 
 
 def evaluate(

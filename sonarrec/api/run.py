@@ -9,12 +9,12 @@ from typing import Any, overload
 from sonarrec.advice.log import of_run
 from sonarrec.errors import UsageError, refuse_url
 from sonarrec.readers.named_logs import NamedLog
-from sonarrec.records import Clock
 from sonarrec.results.run_file import LogOptions, frame_span, span_text
 from sonarrec.runs.job import Observe, Outcome, RunOptions
 from sonarrec.runs.one import at_hand, run_log
 from sonarrec.runs.run import Presets, Runs, configs_of, jobs_of, run_jobs
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.sonar.frame import Clock
+from sonarrec.sonar.stated import Sonar, sonar_from
 
 
 @overload

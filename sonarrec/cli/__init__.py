@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from sonarrec import __version__
 from sonarrec.cli.endings import (
     INTERRUPTED,
     TERMINATED,
@@ -22,7 +23,6 @@ from sonarrec.cli.endings import (
 )
 from sonarrec.cli.groups import advice_on
 from sonarrec.errors import SonarrecError, is_url, name_as_text, redact_urls
-from sonarrec.records import VERSION
 
 COMMANDS = (
     *("run", "info", "evaluate", "check", "report", "overlay", "export", "map"),
@@ -108,7 +108,7 @@ def _open_streams() -> None:
         "show_default": True,
     },
 )
-@click.version_option(VERSION, "-V", "--version", prog_name="sonarrec")
+@click.version_option(__version__, "-V", "--version", prog_name="sonarrec")
 def main() -> None:
     """Recognise landmarks in recorded imaging-sonar logs, and score the results.
 

@@ -31,7 +31,7 @@ from sonarrec.errors import (
     number_of,
     refuse_url,
 )
-from sonarrec.records import date_text, is_date
+from sonarrec.sonar.frame import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.readers.info import Container, Images, LogInfo

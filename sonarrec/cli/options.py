@@ -29,14 +29,15 @@ from sonarrec.cli.groups import (
     in_settings,
 )
 from sonarrec.errors import UsageError, as_usage, is_url
-from sonarrec.records import IMAGE_SUFFIXES, Clock
+from sonarrec.sonar.frame import Clock
+from sonarrec.tables import IMAGE_SUFFIXES
 
 if TYPE_CHECKING:
     from sonarrec.config import Config
     from sonarrec.evaluation.compare import Limits
     from sonarrec.evaluation.rows import ScoringOptions
     from sonarrec.readers.named_logs import NamedLog
-    from sonarrec.sonar import Sonar
+    from sonarrec.sonar.stated import Sonar
 
 
 ENDINGS = IMAGE_SUFFIXES | {
@@ -190,7 +191,7 @@ def _reading(values: dict[str, Any]) -> dict[str, Any]:
     Raises UsageError for flags that are invalid and a sonar_file that cannot be used: once, not for
     each log.
     """
-    from sonarrec.sonar import load_sonar, sonar_from_table
+    from sonarrec.sonar.stated import load_sonar, sonar_from_table
 
     stated = {key: values[key] for key in _GEOMETRY if values.get(key) is not None}
     if "bearings_deg" in stated:
@@ -213,7 +214,7 @@ def reading(*, geometry: bool = False, time: bool = False) -> Decorator:
 
 
 def _stated_in(values: dict[str, Any]) -> Sonar:
-    from sonarrec.sonar import Sonar, load_sonar
+    from sonarrec.sonar.stated import Sonar, load_sonar
 
     return load_sonar(values["sonar_file"]) if values["sonar_file"] else Sonar()
 

@@ -142,7 +142,7 @@ def _worst(
     from sonarrec.advice.results import of_results
     from sonarrec.evaluation.evaluate import evaluate_logs
     from sonarrec.evaluation.rows import ScoringOptions
-    from sonarrec.sonar import load_sonar
+    from sonarrec.sonar.stated import load_sonar
 
     file = reading["sonar_file"]
     evaluation = evaluate_logs(

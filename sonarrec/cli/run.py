@@ -28,7 +28,7 @@ from sonarrec.cli.endings import (
 )
 from sonarrec.cli.groups import FILE, command, file_names, in_batch, in_input, in_output
 from sonarrec.errors import SonarrecError, UsageError, is_url, name_as_text, number_of, printable
-from sonarrec.records import date_text, is_date
+from sonarrec.sonar.frame import date_text, is_date
 
 if TYPE_CHECKING:
     from sonarrec.runs.job import Event, Job, Outcome

@@ -17,10 +17,10 @@ from sonarrec.drawing.pen import (
     pen_on,
     pixel_unit,
 )
-from sonarrec.geometry import floor_depth, pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import floor_depth, pixel_from_polar
+from sonarrec.sonar.stated import Sonar
 
 
 def nice_steps(low: float, high: float, about: int) -> FloatArray:

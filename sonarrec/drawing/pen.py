@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.geometry import (
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import (
     STEEPEST,
     floor_depth,
     ground_range,
@@ -17,7 +18,6 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.records import Fan
 from sonarrec.tables.outputs import replaced, with_mark, writing
 
 Colour = tuple[int, int, int]

@@ -22,9 +22,9 @@ from sonarrec.drawing.pen import (
     pen_on,
     pixel_unit,
 )
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Estimate, Fan, is_date, time_text
+from sonarrec.sonar.frame import Estimate, Fan, is_date, time_text
+from sonarrec.sonar.geometry import pixel_from_polar
 
 AROUND = 1.15
 """Radius, in discs, at which truth is drawn, so that estimates do not hide it."""

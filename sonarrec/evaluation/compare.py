@@ -23,10 +23,10 @@ from sonarrec.evaluation.pairs import Pair, find_truths, pair_up
 from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.evaluation.uncertainty import draws
 from sonarrec.evaluation.write import write_table
-from sonarrec.records import follows
 from sonarrec.results.columns import chosen
 from sonarrec.results.folders import log_of
 from sonarrec.results.run_file import read_run
+from sonarrec.sonar.frame import follows
 from sonarrec.tables.outputs import check_folder, check_tables, writing
 
 FRAMES_FREE = 2

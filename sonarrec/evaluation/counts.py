@@ -29,8 +29,8 @@ from sonarrec.evaluation.rows import (
     present,
     truth_beneath,
 )
-from sonarrec.records import follows
 from sonarrec.results.columns import chosen
+from sonarrec.sonar.frame import follows
 
 LOGS_ENOUGH = 10
 """With so many logs the unit is a log, since the passes of one log have much in common."""

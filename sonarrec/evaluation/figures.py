@@ -27,7 +27,7 @@ from sonarrec.evaluation.uncertainty import (
     p_value,
     rate_interval,
 )
-from sonarrec.records import follows
+from sonarrec.sonar.frame import follows
 
 FPR_POINTS = (0.01, 0.0276, 0.05)
 """FPRs about which curves are dense; .0276 is that of the paper's framework (Table 5)."""

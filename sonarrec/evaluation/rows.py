@@ -19,7 +19,7 @@ from sonarrec.errors import UsageError
 from sonarrec.passes import pass_begins
 from sonarrec.results.columns import in_order
 from sonarrec.results.read import LogResults
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.sonar.stated import Sonar, sonar_from
 from sonarrec.truth.match import Truth
 
 PROTOCOLS = ("paper", "strict")

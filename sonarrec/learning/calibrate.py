@@ -30,9 +30,9 @@ from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights
 from sonarrec.recogniser.stage3.reader import Reader, Weights
 from sonarrec.recogniser.stage3.shape_matrix import rotated_codes
-from sonarrec.records import Frame
 from sonarrec.results.folders import possible_names
 from sonarrec.results.run_file import LogOptions
+from sonarrec.sonar.frame import Frame
 from sonarrec.tables.outputs import MODEL_MARK
 from sonarrec.truth import check
 from sonarrec.truth.match import Truth, match_truth

@@ -10,7 +10,6 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, joined, selected
 from sonarrec.config import Config
-from sonarrec.geometry import plane_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.restore.saturation import Levels
 from sonarrec.recogniser.restore.static_pixels import Unchanging
@@ -18,7 +17,8 @@ from sonarrec.recogniser.stage3.appearance import LEAST_EXISTENCE
 from sonarrec.recogniser.stage3.reader import Pictures, Reading
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES
 from sonarrec.recogniser.three_stages import DiscStages
-from sonarrec.records import Fan, Frame
+from sonarrec.sonar.frame import Fan, Frame
+from sonarrec.sonar.geometry import plane_from_polar
 
 # In disc diameters: a track up to ON from a true centre shows the landmark, one farther than OFF
 # does not. Those between are left out.

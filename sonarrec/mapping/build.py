@@ -12,7 +12,6 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError
-from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.mapping.landmarks import (
     Landmark,
@@ -37,7 +36,8 @@ from sonarrec.results.identity import outdated
 from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
 from sonarrec.results.run_file import RunFile, cut_short, read_run, tables_changed
 from sonarrec.results.sightings import check_follows
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.geometry import PoseTable
+from sonarrec.sonar.stated import Sonar
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,12 +20,12 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError
-from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.mapping.path import SonarPath
 from sonarrec.passes import pass_begins
-from sonarrec.records import Fan
 from sonarrec.results.read import ROWS, SIGMAS, estimate_tables, positions
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import floor_depth, ground_range
 from sonarrec.tables.read import line_number
 
 # How errors are correlated within a pass, chosen on tuning seeds.

@@ -16,7 +16,7 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, listed, number_of
-from sonarrec.geometry import PoseTable
+from sonarrec.sonar.geometry import PoseTable
 from sonarrec.stretches import MOST_LISTED, stretches_of
 from sonarrec.tables.read import Kind, Table, read_table
 

@@ -15,10 +15,10 @@ from matplotlib.patches import Patch, Polygon, Wedge
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import listed, number_of
-from sonarrec.geometry import floor_depth, ground_range
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.mapping.build import SiteMap
 from sonarrec.mapping.landmarks import Landmark, MappedLog, ellipse
+from sonarrec.sonar.geometry import floor_depth, ground_range
 from sonarrec.tables.outputs import escape_mathtext, write_figure
 
 LINES = "#333333"

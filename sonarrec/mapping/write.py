@@ -20,7 +20,7 @@ from sonarrec.mapping.build import SiteMap, make_map
 from sonarrec.mapping.landmarks import Landmark, Pass, ellipse, frames_of
 from sonarrec.mapping.path import Drift
 from sonarrec.mapping.picture import draw_map
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.sonar.stated import Sonar, sonar_from
 from sonarrec.tables.outputs import (
     as_cell,
     check_folder,

@@ -18,7 +18,7 @@ from sonarrec.drawing.pen import TRUTH, UNNAMED, Colour, disc_outline, landmark_
 from sonarrec.drawing.results import AROUND, Mark, Moment, caption, outline_of, trails
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.messages.foxglove import message_class
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from sonarrec.tables.outputs import OVERLAY_LIBRARY, replaced, writing
 
 ANNOTATIONS_TOPIC = "/sonarrec/annotations"

@@ -33,7 +33,6 @@ from sonarrec.readers.containers.video import opencv_name
 from sonarrec.readers.decode.pixels import warnings_file, warnings_to
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
-from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.folders import part_of, possible_names, rerun_left
 from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
@@ -52,7 +51,8 @@ from sonarrec.results.run_file import (
     tables_changed,
 )
 from sonarrec.runs.recorded import recorded_at
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.sonar.frame import Estimate, Fan, Frame
+from sonarrec.sonar.stated import Sonar, sonar_from
 from sonarrec.tables.outputs import (
     VIDEO_MARK,
     Kind,

@@ -9,8 +9,8 @@ from typing import Any, get_args
 from sonarrec.errors import SonarrecError, UsageError, command_line
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import SONAR_FILE, Source, find_log, own_file
-from sonarrec.records import Clock
-from sonarrec.sonar import Sonar, sonar_from
+from sonarrec.sonar.frame import Clock
+from sonarrec.sonar.stated import Sonar, sonar_from
 
 
 def open_log(

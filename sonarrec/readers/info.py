@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.errors import Advice, Diagnostics, SonarrecError, UsageError, name_as_text
-from sonarrec.geometry import floor_depth
 from sonarrec.readers.containers.images import ImageFiles
 from sonarrec.readers.log import FIRST_FRAMES, Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.readers.raw import RawLog, StoredFrame
-from sonarrec.records import Frame
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import floor_depth
+from sonarrec.sonar.stated import Sonar, sonar_from_table
 from sonarrec.stretches import Rate
 
 Observe = Callable[[int | None], None]

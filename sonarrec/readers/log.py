@@ -15,8 +15,8 @@ from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.decode.reading import apply, settle
 from sonarrec.readers.open import Source
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
-from sonarrec.records import Clock, Fan, Frame, Stamps
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Clock, Fan, Frame, Stamps
+from sonarrec.sonar.stated import Sonar
 from sonarrec.stretches import CLEARLY_BACK_NS, Breaks
 
 MOST_HZ = 200.0  # no imaging sonar is faster

@@ -31,9 +31,8 @@ from sonarrec.readers.containers.images import ImageFiles, ImagePaths, is_array,
 from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog, Recording
-from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART
-from sonarrec.sonar import Sonar, load_sonar
-from sonarrec.tables import natural_order, something_else
+from sonarrec.sonar.stated import Sonar, load_sonar
+from sonarrec.tables import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART, natural_order, something_else
 from sonarrec.tables.outputs import is_output
 from sonarrec.tables.toml import read_toml
 

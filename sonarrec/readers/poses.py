@@ -13,12 +13,12 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError, number_of
-from sonarrec.geometry import PoseTable, pose_table
 from sonarrec.readers.messages.fields import DefinitionError, Fields
 from sonarrec.readers.messages.types import Decode, fields_decoder, message_type
 from sonarrec.readers.open import find_log
 from sonarrec.readers.raw import Message, Recording, UnusableError
-from sonarrec.records import Clock, Stamps
+from sonarrec.sonar.frame import Clock, Stamps
+from sonarrec.sonar.geometry import PoseTable, pose_table
 from sonarrec.tables import refuse_pipe
 
 if TYPE_CHECKING:

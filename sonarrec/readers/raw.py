@@ -13,8 +13,8 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import Diagnostics
-from sonarrec.records import NO_STAMPS, BeamOrder, Stamps
-from sonarrec.sonar import MIN_WINDOW_M, Sonar
+from sonarrec.sonar.frame import NO_STAMPS, BeamOrder, Stamps
+from sonarrec.sonar.stated import MIN_WINDOW_M, Sonar
 from sonarrec.stretches import CLEARLY_BACK_NS
 
 MAX_FRAME_BYTES = 48 * 2**20  # also of a message: 4096 x 4096 pixels of three bytes

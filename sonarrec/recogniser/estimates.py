@@ -14,7 +14,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
 from sonarrec.recogniser.stage3 import Beliefs, likeliest, rounded
 from sonarrec.recogniser.stage3.shape_matrix import STEP_DEG, Identification, rounded_steps
-from sonarrec.records import Estimate, Selection
+from sonarrec.sonar.frame import Estimate, Selection
 
 # Standard error of a group's mean, as a share of its particles' spread: chosen on tuning seeds,
 # checked against the truth by `make scenes`.

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from sonarrec.arrays import ByteImage, FloatArray, FloatImage
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import (
+from sonarrec.sonar.frame import Fan, Motion, PolarImages
+from sonarrec.sonar.geometry import (
     STEEPEST,
     Resampling,
     fan_mask,
@@ -29,7 +30,6 @@ from sonarrec.geometry import (
     row_bands,
     slant_range,
 )
-from sonarrec.records import Fan, Motion, PolarImages
 
 Values = FloatArray | float
 Pair = tuple[FloatArray, FloatArray]

@@ -17,7 +17,7 @@ from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.recogniser.plane import FloorPlane
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg
 from sonarrec.recogniser.stage1 import CandidateSelector
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 
 KEPT = 8
 """So many frames are kept at most, spread over the log."""

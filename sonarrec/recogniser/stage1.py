@@ -20,7 +20,7 @@ from sonarrec.arrays import ByteImage, FloatArray, FloatImage, IndexArray
 from sonarrec.config import Candidates
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import Fan, Selection
+from sonarrec.sonar.frame import Fan, Selection
 
 # The ring filter compares the ring with the gap inside it, less a margin, and with the floor
 # outside, in disc radii.

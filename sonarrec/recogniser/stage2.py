@@ -27,7 +27,7 @@ from sonarrec.arrays import BoolArray, FloatArray, FloatImage, IntArray, Table
 from sonarrec.config import Continuity
 from sonarrec.recogniser.plane import Plane, as_complex
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Motion, Selection
+from sonarrec.sonar.frame import Motion, Selection
 
 NEW_EXISTENCE = 0.5  # probability of existence of a group that has just begun
 FULLY_VISIBLE = 0.9  # share of a disc in view from which on its object should be a candidate

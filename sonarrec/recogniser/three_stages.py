@@ -16,7 +16,6 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, Columns, Table, stacked
 from sonarrec.config import Config
-from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import Estimates, of_candidates
 from sonarrec.recogniser.motion.odometry import Odometry
@@ -30,7 +29,8 @@ from sonarrec.recogniser.stage3.model_file import built_in_weights
 from sonarrec.recogniser.stage3.published import PublishedMeasurement
 from sonarrec.recogniser.stage3.reader import Reader
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Estimate, Fan, Frame, FrameResult, Motion, Selection
+from sonarrec.sonar.frame import Estimate, Fan, Frame, FrameResult, Motion, Selection
+from sonarrec.sonar.geometry import PoseTable
 
 SMI = "smi"
 FRAMEWORK = "framework"

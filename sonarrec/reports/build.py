@@ -31,7 +31,7 @@ from sonarrec.results.identity import outdated
 from sonarrec.results.read import find_logs, why_incomplete
 from sonarrec.results.run_file import read_run
 from sonarrec.runs.recorded import recorded_at
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.outputs import below, check_output, write_page
 from sonarrec.truth.table import read_truth
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sonarrec import __version__
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.overlays.overlay import find_both
-from sonarrec.records import VERSION
 from sonarrec.reports.review import Summary, review
 from sonarrec.reports.template import fill
 from sonarrec.results.folders import log_of
@@ -60,7 +60,7 @@ def review_camp(
             pages=summaries,
             failed=failed[::-1],
             name=out.resolve().name,
-            version=VERSION,
+            version=__version__,
         ),
     )
     return [*reversed(lines), f"{out / START}: lists them; open it in a browser"], together

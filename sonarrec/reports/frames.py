@@ -18,16 +18,16 @@ from sonarrec.arrays import ByteImage
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.drawing.results import AROUND, Mark, caption, draw_frame, outline_of
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.geometry import pixel_from_plane
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log, log_name, names_a_log, results_name
-from sonarrec.records import Estimate, Frame
 from sonarrec.reports.logs import ReportedLog
 from sonarrec.results.folders import possible_names
 from sonarrec.results.read import check_same_log, read_estimates
 from sonarrec.results.run_file import LogOptions
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Estimate, Frame
+from sonarrec.sonar.geometry import pixel_from_plane
+from sonarrec.sonar.stated import Sonar
 
 PICTURE_PX = 640  # pixels of the longer side; draw_frame lays its text out for this
 PICTURE_QUALITY = 80

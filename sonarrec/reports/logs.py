@@ -13,11 +13,11 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.rows import Matched, ScoringOptions, match, truth_beneath
-from sonarrec.records import follows
 from sonarrec.results.columns import chosen, leading
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, of_methods, read_log
 from sonarrec.results.sightings import Sighting, read_sightings
+from sonarrec.sonar.frame import follows
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import TruthTable
 

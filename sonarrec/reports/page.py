@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from sonarrec import __version__
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import number_of, printable
 from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.figures import METRICS, units_text
 from sonarrec.evaluation.plots import COLOURS
 from sonarrec.evaluation.write import Evaluation
-from sonarrec.geometry import floor_depth
 from sonarrec.passes import PASS_GAP
-from sonarrec.records import VERSION, date_text, is_date, time_text
 from sonarrec.reports import charts, screen
 from sonarrec.reports.frames import Picture, Shown
 from sonarrec.reports.glyphs import glyph
@@ -35,6 +34,8 @@ from sonarrec.reports.overview import LogRow, SharedMistake, headline
 from sonarrec.reports.template import fill
 from sonarrec.results.run_file import RunFile, flat
 from sonarrec.results.sightings import Sighting
+from sonarrec.sonar.frame import date_text, is_date, time_text
+from sonarrec.sonar.geometry import floor_depth
 
 MOST_TRACKS = 12
 MOST_SIGHTINGS = 40
@@ -103,7 +104,7 @@ def render(
         shown,
         number=lambda value, digits: f"{value:,.{digits}f}",
         time_of_day=time_text,
-        version=VERSION,
+        version=__version__,
         title=f"{len(rows)} logs" if len(rows) > len(logs) else names,
         headline=headline(rows, evaluation) if several else "",
         contents=contents,

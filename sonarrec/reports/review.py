@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from sonarrec import __version__
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.drawing.results import outline_of
@@ -29,14 +30,12 @@ from sonarrec.errors import (
     number_of,
     printable,
 )
-from sonarrec.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.mapping.path import MOVED, measured_path, read_frames
 from sonarrec.overlays.overlay import find_both
 from sonarrec.passes import ended
 from sonarrec.readers import open_log
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, own_file
-from sonarrec.records import VERSION, Frame
 from sonarrec.reports.frames import as_jpeg
 from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.template import fill
@@ -52,6 +51,8 @@ from sonarrec.results.read import (
     why_incomplete,
 )
 from sonarrec.results.run_file import LogOptions
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.tables.outputs import check_output, write_page
 from sonarrec.tables.read import read_table
 from sonarrec.truth.check import misfit
@@ -568,7 +569,7 @@ def _page(
         "review.html",
         ("viewer.js", "review.js"),
         data,
-        version=VERSION,
+        version=__version__,
         name=results.name,
         gt_name=printable(summary.gt_name),
         links=links,

@@ -14,7 +14,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from sonarrec.errors import UsageError, printable
-from sonarrec.records import FrameResult, Stamps, follows
+from sonarrec.sonar.frame import FrameResult, Stamps, follows
 
 if TYPE_CHECKING:
     from sonarrec.tables.read import Kind  # imports pandas, which a run does not need

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.records import PART
+from sonarrec.tables import PART
 from sonarrec.tables.outputs import Kind, below, is_output
 
 TABLES = ("frames.csv", "estimates.csv", "sightings.csv")

@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from sonarrec import __version__
 from sonarrec.errors import SonarrecError, number_of
-from sonarrec.records import VERSION
 from sonarrec.results.folders import is_file
 from sonarrec.tables.toml import read_toml
 
@@ -20,7 +20,7 @@ RESULTS_VERSION = 4
 logs are read or in how landmarks are recognised. Code that only moves leaves it as it is.
 tests/results/test_identity.py asks for it when the tables on record change."""
 
-PROGRAM = {"name": "sonarrec", "version": VERSION}
+PROGRAM = {"name": "sonarrec", "version": __version__}
 """The program that made a file, for run.toml and JSON documents."""
 _SETTINGS = ("config", "sonar", "landmarks")
 """The tables of run.toml whose digest it states."""

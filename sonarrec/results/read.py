@@ -32,9 +32,7 @@ from sonarrec.errors import (
     printable,
     similar_name,
 )
-from sonarrec.geometry import pixel_from_polar, plane_position, polar_from_pixel
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.records import PART, Estimate, Fan
 from sonarrec.results.columns import (
     CORNERS,
     ESTIMATES_HEADER,
@@ -51,9 +49,11 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import log_of, parent_of, part_of
 from sonarrec.results.identity import why_outdated
 from sonarrec.results.run_file import RunFile, csv_rows, cut_short, read_run, tables_changed
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Estimate, Fan
+from sonarrec.sonar.geometry import pixel_from_polar, plane_position, polar_from_pixel
+from sonarrec.sonar.stated import Sonar
 from sonarrec.stretches import stretches_of
-from sonarrec.tables import natural_order
+from sonarrec.tables import PART, natural_order
 from sonarrec.tables.outputs import free_name
 from sonarrec.tables.read import (
     POSITION_KINDS,

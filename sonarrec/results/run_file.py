@@ -18,12 +18,12 @@ from cv2.version import opencv_version
 
 from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
-from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Clock, Fan
 from sonarrec.results.folders import TABLES, is_file, parent_of
 from sonarrec.results.identity import PROGRAM, identity, why_outdated
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.sonar.frame import Clock, Fan
+from sonarrec.sonar.geometry import fan_for_image
+from sonarrec.sonar.stated import Sonar, sonar_from_table
 from sonarrec.tables.outputs import free_name
 from sonarrec.tables.toml import AtLeastOne, Count, Finite, checked, read_toml, types_of
 

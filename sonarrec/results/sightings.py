@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.geometry import PoseTable, ground_range
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.passes import ended
-from sonarrec.records import Estimate, Fan, follows
 from sonarrec.results.columns import SIGHTING_COLUMNS, Column, line_of, text_cell
 from sonarrec.results.run_file import read_run
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Estimate, Fan, follows
+from sonarrec.sonar.geometry import PoseTable, ground_range
+from sonarrec.sonar.stated import Sonar
 
 
 @dataclass(frozen=True, slots=True)

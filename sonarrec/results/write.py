@@ -14,7 +14,6 @@ import tomli_w
 
 from sonarrec.errors import SonarrecError, name_as_text, number_of
 from sonarrec.landmarks import DrawnSet, LandmarkSet
-from sonarrec.records import NO_STAMPS, FrameResult, Stamps
 from sonarrec.results.columns import (
     FRAME_COLUMNS,
     SIGHTING_COLUMNS,
@@ -26,6 +25,7 @@ from sonarrec.results.columns import (
 from sonarrec.results.folders import alone, exchange, part_of
 from sonarrec.results.run_file import tables_written
 from sonarrec.results.sightings import Sightings
+from sonarrec.sonar.frame import NO_STAMPS, FrameResult, Stamps
 from sonarrec.tables.outputs import replaced
 
 AT_ONCE = 16

@@ -10,9 +10,9 @@ from typing import Literal
 from sonarrec.config import Config
 from sonarrec.errors import Advice, SonarrecError, as_usage, is_url, number_of, redact_url
 from sonarrec.recogniser.stage3.model_file import model_from_table, read_model
-from sonarrec.records import FrameResult
 from sonarrec.results.run_file import LogOptions, read_run
 from sonarrec.results.sightings import Sighting
+from sonarrec.sonar.frame import FrameResult
 
 Observe = Callable[[FrameResult, int | None], None]
 """Called with each result and the number of frames, None where that is not known."""

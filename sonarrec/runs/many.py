@@ -21,9 +21,9 @@ from threading import Lock, Timer
 from time import monotonic
 
 from sonarrec.errors import SonarrecError
-from sonarrec.records import FrameResult
 from sonarrec.runs.job import GRACE_S, Event, Job, Observe, Outcome, Report
 from sonarrec.runs.one import run_job
+from sonarrec.sonar.frame import FrameResult
 
 # The child gets sys.path, so that it runs this same program. It uses one thread: the logs share the
 # cores, and OpenCV's threads would only compete.

@@ -14,13 +14,13 @@ from typing import Any
 from sonarrec.errors import SonarrecError, is_url
 from sonarrec.readers.log import FIRST_FRAMES
 from sonarrec.readers.open import find_log, log_name, results_name
-from sonarrec.records import Frame, Stamps
 from sonarrec.results.folders import folder_names, part_of, rerun_left
 from sonarrec.results.run_file import existing_results
 from sonarrec.results.sightings import Sighting, Sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.job import Job, Observe, Outcome, Report
 from sonarrec.runs.prepare import PreparedRun, prepare
+from sonarrec.sonar.frame import Frame, Stamps
 
 MOST_SIGHTINGS = 20
 """Kept of each method in an Outcome; sightings.csv has all."""

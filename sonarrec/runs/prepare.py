@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.errors import SonarrecError, UsageError, name_as_text
-from sonarrec.geometry import PoseTable, floor_depth
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import names_an_image
@@ -21,11 +20,12 @@ from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model_file import ModelFile, model_from_table, read_model
-from sonarrec.records import Fan, Frame
 from sonarrec.results.folders import OURS
 from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, span_text
 from sonarrec.runs.job import Job, RunOptions
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan, Frame
+from sonarrec.sonar.geometry import PoseTable, floor_depth
+from sonarrec.sonar.stated import Sonar
 
 
 @dataclass(frozen=True, slots=True)

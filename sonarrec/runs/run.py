@@ -21,7 +21,6 @@ from sonarrec.readers.named_logs import NamedLog
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.recogniser.stage3.model_file import read_model
-from sonarrec.records import Fan, Frame, FrameResult
 from sonarrec.results.folders import MADE, PAGES
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs import cores
@@ -29,6 +28,7 @@ from sonarrec.runs.job import Event, Job, Outcome, RunOptions
 from sonarrec.runs.logs_table import COLUMNS, NAME, LogsTable, Row
 from sonarrec.runs.many import Watch, run_here, run_in_processes
 from sonarrec.runs.one import result_names
+from sonarrec.sonar.frame import Fan, Frame, FrameResult
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,9 +9,9 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from sonarrec.arrays import ByteImage
-from sonarrec.geometry import beam_bearings, bin_ranges
 from sonarrec.readers.messages.ros import known_messages
-from sonarrec.sonar import Geometry
+from sonarrec.sonar.geometry import beam_bearings, bin_ranges
+from sonarrec.sonar.stated import Geometry
 
 TOPIC = "/sonar/image"
 SOUND_SPEED = 1500.0  # m/s

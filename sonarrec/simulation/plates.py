@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray
-from sonarrec.geometry import pixel_from_polar
-from sonarrec.records import Fan
 from sonarrec.simulation.scene import HeldPlate, PlateScene
 from sonarrec.simulation.truth import Truth
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import pixel_from_polar
 
 GRID = 110  # scatterers along a plate's side
 WAVELENGTH_M = 0.0021

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.geometry import in_fan, polar_from_pixel
-from sonarrec.records import Fan
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.scene import NO_ECHO_DB, Scene, scene_bearings
 from sonarrec.simulation.world import View
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import in_fan, polar_from_pixel
 
 GROUP = 8  # neighbouring beams that share a gain; beams at multiples of this distance fire together
 MOST_BANDS = 100  # bands of surface echo, at most; one more would be 300 dB below the first

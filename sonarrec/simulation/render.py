@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
-from sonarrec.records import Fan
 from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid, SquareGrid
 from sonarrec.simulation.motion import Pose, ar1, poses
@@ -24,6 +23,7 @@ from sonarrec.simulation.receiver import Picture, Receiver
 from sonarrec.simulation.scene import AnyScene, PlateScene, Scene, check_scene, scene_fan
 from sonarrec.simulation.truth import Truth, truth_in_view
 from sonarrec.simulation.world import PATCHES, World
+from sonarrec.sonar.frame import Fan
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,10 +15,10 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, UsageError, as_usage
-from sonarrec.geometry import fan_for_image, fan_for_polar
 from sonarrec.landmarks import DrawnSet, LandmarkSet, landmarks_from_table, load_landmarks
-from sonarrec.records import Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import fan_for_image, fan_for_polar
+from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.toml import (
     AtLeastOne,
     Count,

@@ -19,7 +19,7 @@ from sonarrec.results.columns import CORNERS
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import AnyScene, PlateScene, load_scene, scene_sonar, scene_table
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.outputs import check_distinct, filled_at_once, writing
 
 PLATE_COLUMNS = ("frame", "landmark", *TRUTH_COLUMNS[4:])

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sonarrec.arrays import FloatArray
-from sonarrec.geometry import in_image, pixel_from_polar, points_on_disc
-from sonarrec.records import Fan
 from sonarrec.simulation.fish import Fishes
 from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.objects import object_radius, raised_m
 from sonarrec.simulation.scene import Placed, PlacedLandmark, Scene, position_of
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import in_image, pixel_from_polar, points_on_disc
 
 
 class Truth(NamedTuple):

@@ -1,4 +1,4 @@
-"""Reads TOML and CSV, writes files safely; and the order of files whose names hold numbers."""
+"""Reads TOML and CSV, writes files safely; and names of files: their endings and their order."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from pathlib import Path
 
 from sonarrec.errors import SonarrecError
 
+PART = ".part"
+"""Ending of the name of a results folder whose run is not finished; no other folder has it."""
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
+"""How the names of images end; a folder that holds some is a log."""
+ARRAY_SUFFIX = ".npy"
+"""Of an array of NumPy; a folder that holds some, and neither images nor other logs, is a log."""
 STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
 """Prefixes of names that may refer to open files of this process."""
 

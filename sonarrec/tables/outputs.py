@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.records import IMAGE_SUFFIXES
-from sonarrec.tables import STREAMS
+from sonarrec.tables import IMAGE_SUFFIXES, STREAMS
 
 Kind = Literal[
     "report", "review", "manual", "picture", "overlay", "video", "model", "table", "JSON"

@@ -9,8 +9,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.errors import Diagnostics, number_of
-from sonarrec.geometry import in_image, polar_from_plane
-from sonarrec.records import Fan
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import in_image, polar_from_plane
 from sonarrec.tables import composed
 from sonarrec.truth.match import ReadLog, Truth, share_in_image, wrong_unit
 from sonarrec.truth.table import TruthTable

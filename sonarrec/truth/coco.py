@@ -13,15 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sonarrec import __version__
 from sonarrec.arrays import FloatArray
 from sonarrec.errors import SonarrecError, name_as_text, number_of
-from sonarrec.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.containers.images import is_image
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
-from sonarrec.records import VERSION, Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import beam_bearings, bin_ranges, pixel_from_polar, polar_from_pixel
+from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.outputs import write_text, writing
 from sonarrec.tables.read import NONE
 from sonarrec.truth.check import SLACK
@@ -184,7 +185,7 @@ def write_coco(
     size = dict(zip(("width", "height"), pictures.size, strict=True))
     images = [{"id": n + 1, "file_name": pictures.file_name(n), **size} for n in frames]
     document = {
-        "info": {"description": f"{pictures.name}, by sonarrec {VERSION}"},
+        "info": {"description": f"{pictures.name}, by sonarrec {__version__}"},
         "categories": [{"id": n, "name": names[i]} for i, n in numbers.items()],
         "images": images,
         "annotations": annotations,

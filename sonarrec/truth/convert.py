@@ -17,11 +17,11 @@ import numpy as np
 
 from sonarrec.drawing.pen import disc_outline
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
+from sonarrec.sonar.geometry import pixel_from_polar
 from sonarrec.tables import composed, natural_order, something_else
 from sonarrec.tables.read import ID_IN_LABELS, LARGEST, NONE
 from sonarrec.truth.check import misfit, report_other_logs

@@ -9,7 +9,9 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import (
+from sonarrec.landmarks import LandmarkSet
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import (
     floor_depth,
     ground_range,
     in_image,
@@ -17,8 +19,6 @@ from sonarrec.geometry import (
     plane_position,
     points_on_disc,
 )
-from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan
 from sonarrec.tables.read import NONE, line_number
 from sonarrec.truth.table import TruthTable
 

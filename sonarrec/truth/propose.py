@@ -13,12 +13,17 @@ import numpy as np
 
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
-from sonarrec.geometry import ground_range, pixel_from_polar, plane_from_polar, polar_from_plane
-from sonarrec.records import follows
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import log_of
 from sonarrec.results.read import LogResults, find_logs, read_log, why_incomplete
 from sonarrec.results.sightings import check_follows
+from sonarrec.sonar.frame import follows
+from sonarrec.sonar.geometry import (
+    ground_range,
+    pixel_from_polar,
+    plane_from_polar,
+    polar_from_plane,
+)
 from sonarrec.truth.match import share_in_image
 from sonarrec.truth.table import FILLED_IN, TRACKED, write_truth
 

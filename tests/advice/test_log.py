@@ -14,8 +14,8 @@ import pytest
 from sonarrec.advice.log import contradictions
 from sonarrec.readers import open_log
 from sonarrec.readers.log import FIRST_FRAMES
-from sonarrec.records import Fan, Frame
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan, Frame
+from sonarrec.sonar.stated import Sonar
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import draw_on_floor, make_fan, speckled
 

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.advice.rows import Fault, check_truth
-from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers import open_log
 from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.scene import PlacedLandmark
 from sonarrec.simulation.truth import visible_share
-from sonarrec.sonar import load_sonar
+from sonarrec.sonar.geometry import fan_for_image
+from sonarrec.sonar.stated import load_sonar
 from tests.support.command import sonarrec
 from tests.support.logs import image_folder
 

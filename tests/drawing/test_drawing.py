@@ -15,8 +15,8 @@ from sonarrec.drawing.geometry import disc_width_px, draw_grid, draw_preview
 from sonarrec.drawing.pen import FLOOR, GRID, TRUTH, Pen, pixel_unit
 from sonarrec.drawing.results import STRIP_FRAMES, Moment, draw_strip
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.stated import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import draw_on_floor, make_fan
 from tests.support.logs import PERIOD_NS, frames, image_folder

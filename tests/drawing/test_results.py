@@ -22,7 +22,7 @@ from sonarrec.drawing.results import (
     draw_strip,
     trails,
 )
-from sonarrec.records import Estimate
+from sonarrec.sonar.frame import Estimate
 from tests.support.drawn import make_fan
 from tests.support.estimates import BASIN, FAN, at, estimate
 

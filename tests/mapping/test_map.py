@@ -22,17 +22,17 @@ from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
 from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
 from sonarrec.mapping.landmarks import CHI2_95, ellipse
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
 from sonarrec.mapping.picture import draw_map
 from sonarrec.readers.poses import read_poses
-from sonarrec.records import Estimate, FrameResult
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Estimate, FrameResult
+from sonarrec.sonar.geometry import pose_table
+from sonarrec.sonar.stated import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.support.messages import definition, serialised

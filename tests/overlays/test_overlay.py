@@ -14,7 +14,7 @@ import pytest
 from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.overlays.overlay import overlay
 from sonarrec.readers import open_log
-from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.sonar.stated import Sonar, load_sonar
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages, nanoseconds
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, image_folder, mcap_file

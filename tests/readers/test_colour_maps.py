@@ -21,7 +21,7 @@ from sonarrec.readers.decode.colour import (
     is_coloured,
     map_levels,
 )
-from sonarrec.records import ColourMap
+from sonarrec.sonar.frame import ColourMap
 from tests.support.command import sonarrec
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "pan"

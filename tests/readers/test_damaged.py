@@ -11,7 +11,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from tests.support.bags import bag, messages, ros1_bag
 from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML, frames, mcap_file, video_file

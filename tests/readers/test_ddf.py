@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.ddf_headers import (
     FILE_HEADER,
@@ -22,7 +21,8 @@ from sonarrec.readers.containers.ddf_headers import (
     bearings_deg,
     lens_bearings_deg,
 )
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import pixel_from_polar
 from tests.support.command import sonarrec
 from tests.support.logs import frames
 from tests.support.sonar_files import PERIOD_US, START_US, aris_file, as_pings_came, didson_file

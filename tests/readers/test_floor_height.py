@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import floor_depth
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.height import LEAST, height_from_images
-from sonarrec.records import Fan
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, load_scene, scene_fan
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import floor_depth
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.support.slow import but_first

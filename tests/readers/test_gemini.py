@@ -13,7 +13,7 @@ from pytritech.util.range import calculate_range
 
 from sonarrec.errors import SonarrecError
 from sonarrec.readers.open import find_log
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from tests.support import logs
 from tests.support.logs import frames
 from tests.support.sonar_files import (

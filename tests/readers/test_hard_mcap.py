@@ -12,7 +12,7 @@ import pytest
 import zstandard
 
 from sonarrec.readers.containers import mcap as recording
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from tests.support.hard_logs import HardLog, message, peak_of_reading, record, shapes
 from tests.support.logs import PERIOD_NS, cdr_image, frames, read
 from tests.support.slow import but_first

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from sonarrec.cli import main
 from sonarrec.readers import open_log
 from sonarrec.simulation.mcap import McapWriter
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.hard_logs import HardLog
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_folder, mcap_file, video_file

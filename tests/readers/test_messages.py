@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.geometry import bin_ranges
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.fields import Fields
 from sonarrec.readers.messages.types import decoder_for, read_projected_sonar_image
 from sonarrec.readers.raw import UnusableError
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.geometry import bin_ranges
+from sonarrec.sonar.stated import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, frames, image_folder, mcap_file
 from tests.support.messages import (

@@ -13,7 +13,7 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.readers.open import find_log
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.command import sonarrec

@@ -12,13 +12,13 @@ import pytest
 
 from sonarrec import config
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.geometry import PolarToFan, polar_from_pixel
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.results.run_file import LogOptions
 from sonarrec.runs.job import Job, RunOptions
 from sonarrec.runs.one import run_log
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.geometry import PolarToFan, polar_from_pixel
+from sonarrec.sonar.stated import Sonar
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, frames, image_folder, mcap_file
 from tests.support.messages import (

@@ -15,13 +15,13 @@ import pytest
 from PIL import Image, ImageOps
 
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.grey import grey_scale, holds_amplitudes, single_channel, to_grey8
 from sonarrec.readers.decode.pixels import decode_image
 from sonarrec.readers.raw import UnusableError
 from sonarrec.simulation.render import render
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.sonar.geometry import PolarToFan
+from sonarrec.sonar.stated import Sonar, sonar_from_table
 from tests.studies.learning.random_scenes import random_scene
 from tests.support import messages
 from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file

@@ -17,12 +17,12 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import pose_table
 from sonarrec.readers.poses import read_poses, read_topic
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import Motion
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import load_scene
+from sonarrec.sonar.frame import Motion
+from sonarrec.sonar.geometry import pose_table
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image

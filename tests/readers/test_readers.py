@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError
-from sonarrec.geometry import PolarToFan
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
-from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.sonar.geometry import PolarToFan
+from sonarrec.sonar.stated import Sonar, load_sonar
 from sonarrec.tables import natural_order
 from tests.support.bags import bag, messages, ros1_bag, split_bag
 from tests.support.logs import (

@@ -7,7 +7,7 @@ import numpy as np
 from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.decode.reading import apply, settle
 from sonarrec.readers.raw import PingGeometry, StoredFrame
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 from tests.support.messages import polar_frames
 
 BEARINGS = tuple(np.linspace(-14, 14, polar_frames(1)[0].shape[1]).tolist())

@@ -16,9 +16,9 @@ from sonarrec.config import Config
 from sonarrec.errors import SonarrecError
 from sonarrec.learning import calibrate
 from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg, with_beams
-from sonarrec.records import Frame
 from sonarrec.results.run_file import LogOptions
 from sonarrec.simulation.scene import Scene, scene_fan
+from sonarrec.sonar.frame import Frame
 from tests.support import messages
 from tests.support.command import sonarrec
 from tests.support.messages import log_of, polar_frames

@@ -11,7 +11,6 @@ import pytest
 
 from sonarrec.config import Continuity, preset
 from sonarrec.errors import Diagnostics
-from sonarrec.geometry import PolarToFan, PoseTable, plane_from_polar
 from sonarrec.landmarks import PlatePose
 from sonarrec.readers import open_log
 from sonarrec.recogniser.drawn.drawings import (
@@ -30,10 +29,11 @@ from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Frame, Selection
 from sonarrec.runs.run import Recogniser
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
+from sonarrec.sonar.frame import Frame, Selection
+from sonarrec.sonar.geometry import PolarToFan, PoseTable, plane_from_polar
 from tests.support.clip import ACTAG, clip_claims, family
 from tests.support.drawn import make_fan
 from tests.support.rows import read_rows

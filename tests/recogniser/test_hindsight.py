@@ -10,7 +10,7 @@ import pytest
 from sonarrec.config import preset, with_assignments
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.presets.hindsight import Hindsight
-from sonarrec.records import Estimate, FrameResult
+from sonarrec.sonar.frame import Estimate, FrameResult
 
 BASIN = load_landmarks("basin")
 SURE = np.array([0.004, 0.002, 0.98, 0.004, 0.01])  # of the third ID

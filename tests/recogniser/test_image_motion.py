@@ -12,15 +12,15 @@ import pytest
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
-from sonarrec.geometry import PoseTable
 from sonarrec.recogniser.motion.image_motion import _Evidence
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.motion.registration import Registration
 from sonarrec.recogniser.plane import working_plane
-from sonarrec.records import Fan, Motion
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
+from sonarrec.sonar.frame import Fan, Motion
+from sonarrec.sonar.geometry import PoseTable
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.slow import but_first
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run

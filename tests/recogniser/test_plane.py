@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from sonarrec.geometry import PolarToFan, beam_bearings, bin_ranges, floor_depth
 from sonarrec.recogniser.plane import FanPlane, FloorPlane, working_plane
-from sonarrec.records import Motion
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Motion
+from sonarrec.sonar.geometry import PolarToFan, beam_bearings, bin_ranges, floor_depth
+from sonarrec.sonar.stated import Sonar
 from tests.support.drawn import draw_on_floor, make_fan
 
 WINDOWS = [  # range_min_m, range_max_m, height_m

@@ -13,15 +13,15 @@ import pytest
 
 from sonarrec import config
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import fan_for_image
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.recogniser.presets.side_by_side import FRAMES_AT_ONCE, SideBySide
 from sonarrec.recogniser.restore.static_pixels import AHEAD
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
-from sonarrec.records import Frame, FrameResult
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
-from sonarrec.sonar import Sonar, load_sonar
+from sonarrec.sonar.frame import Frame, FrameResult
+from sonarrec.sonar.geometry import fan_for_image
+from sonarrec.sonar.stated import Sonar, load_sonar
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 from tests.support.rows import read_rows

@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.saturation import LIFTS, OF_GAUSSIAN, Levels
-from sonarrec.records import Fan, Frame
+from sonarrec.sonar.frame import Fan, Frame
 from tests.support.command import sonarrec
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record
 from tests.support.slow import but_first

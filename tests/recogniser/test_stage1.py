@@ -16,9 +16,9 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser import stage1
 from sonarrec.recogniser.plane import FanPlane, Plane, working_plane
 from sonarrec.recogniser.stage1 import CandidateSelector, Correlation
-from sonarrec.records import Fan, Selection
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
+from sonarrec.sonar.frame import Fan, Selection
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.drawn import SECTORS, disc_pattern, draw_on_floor, make_fan, speckled, whole_disc
 

@@ -13,7 +13,7 @@ from sonarrec.recogniser.plane import FanPlane, Plane
 from sonarrec.recogniser.stage1 import CandidateSelector
 from sonarrec.recogniser.stage2 import ContinuityFilter, Particles
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Motion, Selection
+from sonarrec.sonar.frame import Motion, Selection
 from sonarrec.truth.match import share_in_image
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 from tests.support.slow import but_first

@@ -12,7 +12,7 @@ import pytest
 
 from sonarrec.readers import open_log
 from sonarrec.recogniser.restore.static_pixels import AHEAD, MOST_BYTES_AHEAD, Unchanging
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
 from tests.support.on_record import SAMPLES, check_nearly_as_on_record

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sonarrec.arrays import FloatArray
-from sonarrec.geometry import ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.results.read import read_log
+from sonarrec.sonar.geometry import ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.browser import look

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import (
+from sonarrec.results.read import read_log
+from sonarrec.sonar.geometry import (
     floor_depth,
     ground_range,
     pixel_from_polar,
@@ -24,7 +25,6 @@ from sonarrec.geometry import (
     polar_from_pixel,
     slant_range,
 )
-from sonarrec.results.read import read_log
 from sonarrec.truth.match import share_in_image
 from tests.support.browser import COLOURS, contrast
 from tests.support.command import SAMPLE, sonarrec

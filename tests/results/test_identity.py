@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from sonarrec import __version__
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.records import VERSION
 from sonarrec.results import identity
 from sonarrec.results.identity import RESULTS_VERSION
 from sonarrec.results.run_file import read_run
@@ -85,7 +85,7 @@ def test_another_model_and_edited_settings_are_told(results: Path, key: str) -> 
 def test_results_of_a_version_in_development_are_outdated(results: Path) -> None:
     assert identity.outdated([results]) == []
     text = (results / "run.toml").read_text()
-    (results / "run.toml").write_text(text.replace(f'"{VERSION}"', f'"{VERSION}.dev0"'))
+    (results / "run.toml").write_text(text.replace(f'"{__version__}"', f'"{__version__}.dev0"'))
     assert len(identity.outdated([results])) == 1
 
 

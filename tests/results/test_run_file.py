@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError, UsageError
-from sonarrec.geometry import in_image, pixel_from_polar
 from sonarrec.results.read import check_same_log
 from sonarrec.results.run_file import LogOptions, read_run
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.geometry import in_image, pixel_from_polar
+from sonarrec.sonar.stated import Sonar
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from sonarrec.api.run import run
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import pose_table
 from sonarrec.landmarks import load_landmarks
-from sonarrec.records import Estimate, FrameResult
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
 from sonarrec.runs.one import MOST_SIGHTINGS
+from sonarrec.sonar.frame import Estimate, FrameResult
+from sonarrec.sonar.geometry import pose_table
 from tests.results.test_write import tables
 from tests.support.drawn import make_fan
 

@@ -11,11 +11,11 @@ import pytest
 from sonarrec import config
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import landmarks_from_table, load_landmarks
-from sonarrec.records import Estimate, FrameResult, Motion, Stamps
 from sonarrec.results.columns import estimate_columns
 from sonarrec.results.run_file import read_run, run_table
 from sonarrec.results.write import AT_ONCE, ResultsWriter
-from sonarrec.sonar import Sonar, sonar_from_table
+from sonarrec.sonar.frame import Estimate, FrameResult, Motion, Stamps
+from sonarrec.sonar.stated import Sonar, sonar_from_table
 from tests.support.drawn import make_fan
 
 BASIN = load_landmarks("basin")

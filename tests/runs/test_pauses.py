@@ -20,11 +20,11 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays import overlay as overlays
 from sonarrec.readers import open_log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
-from sonarrec.records import Frame, FrameResult
 from sonarrec.results.read import read_log
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from sonarrec.simulation.simulate import simulate
+from sonarrec.sonar.frame import Frame, FrameResult
 from sonarrec.truth.table import write_truth
 from tests.support.command import sonarrec
 from tests.support.logs import SONAR_TOML, cdr_image, frames, image_folder, mcap_file

@@ -24,7 +24,7 @@ from sonarrec.simulation.scene import (
     scene_table,
 )
 from sonarrec.simulation.simulate import write_recording
-from sonarrec.sonar import load_sonar
+from sonarrec.sonar.stated import load_sonar
 from tests.support.bare import BARE, POLAR, power
 from tests.support.command import sonarrec
 from tests.support.rows import read_rows

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import (
     MotionSection,
@@ -19,6 +18,7 @@ from sonarrec.simulation.scene import (
     SonarSection,
 )
 from sonarrec.simulation.truth import Truth
+from sonarrec.sonar.geometry import pixel_from_polar
 from sonarrec.truth.match import share_in_image
 from tests.support.bare import BARE, BIN_M, POLAR, mean_power, power
 from tests.support.command import sonarrec

@@ -14,10 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sonarrec.geometry import fan_for_image, fan_mask
 from sonarrec.landmarks import LandmarkSet
-from sonarrec.records import Fan
-from sonarrec.sonar import load_sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import fan_for_image, fan_mask
+from sonarrec.sonar.stated import load_sonar
 
 METHOD = "hough_majority"
 ANGLES = 36

@@ -19,8 +19,8 @@ from sonarrec.arrays import BoolArray
 from sonarrec.evaluation.rows import DEFAULT
 from sonarrec.evaluation.uncertainty import bootstrap_weights, interval
 from sonarrec.landmarks import DrawnSet
-from sonarrec.records import Estimate
 from sonarrec.simulation.truth import Truth
+from sonarrec.sonar.frame import Estimate
 from tests.studies.learning.plates import SIDE, SIDE_M, apart, random_scene, set_of, stages_of
 from tests.support.simulated import in_processes
 

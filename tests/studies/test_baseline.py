@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import load_landmarks
+from sonarrec.sonar.geometry import pixel_from_polar
 from tests.studies.baseline import HoughSmi, MajorityTracks, Settings, Sight
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 

@@ -11,8 +11,8 @@ import pytest
 from sonarrec.config import SECTIONS, preset, with_table
 from sonarrec.evaluation.plots import PUBLISHED
 from sonarrec.recogniser.stage3.published import TABLE_3, update
-from sonarrec.records import Estimate
 from sonarrec.simulation.motion import poses
+from sonarrec.sonar.frame import Estimate
 from tests.studies import baseline, bench, scenes
 from tests.studies.learning.built_in import MODEL_SEEDS
 from tests.studies.paper import parts, prediction, readings, search, world

@@ -11,9 +11,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from sonarrec.geometry import fan_for_image
-from sonarrec.records import Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import fan_for_image
+from sonarrec.sonar.stated import Sonar
 
 RING = (0.80, 1.00)
 SYMBOL = (0.00, 0.62)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.geometry import pixel_from_polar
 from sonarrec.landmarks import LandmarkSet, load_landmarks
-from sonarrec.records import Estimate, Fan, FrameResult
 from sonarrec.results.write import ResultsWriter
+from sonarrec.sonar.frame import Estimate, Fan, FrameResult
+from sonarrec.sonar.geometry import pixel_from_polar
 from tests.support.drawn import make_fan
 from tests.support.logs import PERIOD_NS
 

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
 from sonarrec.readers import open_log
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
 
 SONAR_TOML = """\
 [sonar]

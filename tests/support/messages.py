@@ -23,8 +23,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import IMAGES, decoder_for, message_type
-from sonarrec.records import Frame
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.stated import Sonar
 from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import PERIOD_NS, mcap_file
 

@@ -16,7 +16,7 @@ import tomli_w
 
 from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.reports.logs import LogToShow, ReportedLog, read_logs
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 from sonarrec.truth.table import read_truth
 
 DECLARED = "frame,method,object,landmark,score,declared"

@@ -22,17 +22,17 @@ from tqdm import tqdm
 from sonarrec.config import Config
 from sonarrec.evaluation.counts import Counts, add_up, count_log
 from sonarrec.evaluation.rows import Matched, match
-from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
-from sonarrec.records import Estimate, Fan, Frame
 from sonarrec.results.read import read_log
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_rows
+from sonarrec.sonar.frame import Estimate, Fan, Frame
+from sonarrec.sonar.geometry import polar_from_pixel
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth, write_truth
 from tests.studies.baseline import METHOD, HoughSmi, MajorityTracks, Settings

@@ -18,7 +18,7 @@ from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights, read_model
 from sonarrec.results.run_file import read_run
 from sonarrec.simulation.scene import load_scene
-from sonarrec.sonar import load_sonar
+from sonarrec.sonar.stated import load_sonar
 from sonarrec.tables import toml
 
 MODEL = as_toml(built_in_weights())

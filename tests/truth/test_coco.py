@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from sonarrec.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.readers import open_log
+from sonarrec.sonar.geometry import pixel_from_polar, polar_from_pixel
 from sonarrec.truth.match import share_in_image
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.estimates import csv_file

@@ -15,9 +15,9 @@ from click.testing import Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.geometry import floor_depth, polar_from_pixel
 from sonarrec.readers import open_log
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.geometry import floor_depth, polar_from_pixel
+from sonarrec.sonar.stated import Sonar
 from sonarrec.truth.match import share_in_image
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan

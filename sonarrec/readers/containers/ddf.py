@@ -15,7 +15,7 @@ import numpy as np
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.readers.containers.ddf_headers import LAYOUTS
 from sonarrec.readers.raw import MAX_FRAME_BYTES, FileBytes, RawLog, StoredFrame, UnusableError
-from sonarrec.records import Stamps
+from sonarrec.sonar.frame import Stamps
 
 _VERSION_AT = 12  # in a frame's header
 _HEADERS_READ = 32  # spread over the file, for the tilt

@@ -23,7 +23,7 @@ import numpy as np
 
 from sonarrec.errors import Diagnostics
 from sonarrec.readers.raw import HeaderInfo, PingGeometry, UnusableError
-from sonarrec.sonar import MIN_WINDOW_M, Sonar
+from sonarrec.sonar.stated import MIN_WINDOW_M, Sonar
 
 MAX_TILT_CHANGE_DEG = 5.0
 FULL_SCALE_DB = 80  # of ARIS

@@ -22,8 +22,8 @@ from sonarrec.readers.decode.pixels import (
     pgm_maxval,
 )
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
-from sonarrec.records import ARRAY_SUFFIX, IMAGE_SUFFIXES, date_text
-from sonarrec.tables import natural_order
+from sonarrec.sonar.frame import date_text
+from sonarrec.tables import ARRAY_SUFFIX, IMAGE_SUFFIXES, natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
 _GAP = 20  # times the least step, from which on a counter may have reached its limit there

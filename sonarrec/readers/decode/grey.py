@@ -39,7 +39,7 @@ from sonarrec.readers.decode.colour import (
 )
 from sonarrec.readers.decode.layout import Stated
 from sonarrec.readers.raw import StoredFrame, UnusableError
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.stated import Sonar
 
 DYNAMIC_RANGE_DB = 50.0
 # Floating-point values from here down are no echo in decibels, but mark pixels without data, as

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray, quantile
-from sonarrec.geometry import floor_depth, pixel_from_polar
-from sonarrec.records import Fan
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import floor_depth, pixel_from_polar
 
 HALF_BEAM_DEG = 10.0  # vertical beams of imaging sonars are 14 to 28 deg wide
 STEEPEST_DEG = 85.0

@@ -16,10 +16,10 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
 from sonarrec.readers.raw import PingGeometry, UnusableError
-from sonarrec.records import BeamOrder, Fan
-from sonarrec.sonar import Geometry, Sonar
+from sonarrec.sonar.frame import BeamOrder, Fan
+from sonarrec.sonar.geometry import MAX_FAN_PIXELS, PolarToFan, fan_for_image, fan_for_polar
+from sonarrec.sonar.stated import Geometry, Sonar
 
 MIN_SHARED_WINDOW = 0.5
 """A ping whose window covers less of the fan's is not used."""

@@ -18,8 +18,8 @@ from sonarrec.readers.decode.grey import Levels, first_levels, grey_of
 from sonarrec.readers.decode.height import height_from_images
 from sonarrec.readers.decode.layout import Layout, Stated, agree, arranged
 from sonarrec.readers.raw import StoredFrame, UnusableError
-from sonarrec.records import Fan
-from sonarrec.sonar import Sonar
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.stated import Sonar
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from sonarrec.landmarks import WIDEST_SIGMA
 from sonarrec.recogniser.drawn.pose import EXPLAINED, Fit, PoseFitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Motion, Selection
+from sonarrec.sonar.frame import Motion, Selection
 
 # Least correlation of a picture with its drawing where any pose was tried, and near that of the
 # frame before: noise reaches .56 and .40.

@@ -9,7 +9,6 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, Columns, FloatImage, Table
 from sonarrec.config import Config
-from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet
 from sonarrec.recogniser.drawn.drawings import Drawings
 from sonarrec.recogniser.drawn.model import built_in_model
@@ -25,7 +24,8 @@ from sonarrec.recogniser.stage2 import ContinuityFilter
 from sonarrec.recogniser.stage3.appearance import HALF_POWER
 from sonarrec.recogniser.three_stages import FRAMEWORK, ThreeStages
 from sonarrec.recogniser.tracks import Tracks
-from sonarrec.records import Fan, Motion, Selection
+from sonarrec.sonar.frame import Fan, Motion, Selection
+from sonarrec.sonar.geometry import PoseTable
 
 HALF_SIDE_PX = 20.0  # half a plate's side in the working image, where the fan is no coarser
 

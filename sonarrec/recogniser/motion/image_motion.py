@@ -18,7 +18,7 @@ from sonarrec.recogniser.motion.motion_grid import motion_grid
 from sonarrec.recogniser.motion.pan import PanEstimator
 from sonarrec.recogniser.motion.registration import FloorRegistration, Picture, Registration
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import Motion
+from sonarrec.sonar.frame import Motion
 
 # Least match (correlation) at which a registration is accepted: one that started from the last
 # frame's motion, and one that started from a search. Pictures of different floor match by up to 0.2

@@ -5,10 +5,10 @@ from __future__ import annotations
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
 from sonarrec.errors import Diagnostics
-from sonarrec.geometry import PoseTable
 from sonarrec.recogniser.motion.image_motion import MIN_MATCH, ImageMotion
 from sonarrec.recogniser.plane import Plane
-from sonarrec.records import Motion
+from sonarrec.sonar.frame import Motion
+from sonarrec.sonar.geometry import PoseTable
 
 # The pans by the table and by the images are compared where either is at least LEAST_PAN_DEG. A
 # note doubts the table if at least LEAST_COMPARED were compared and most of them contradict.

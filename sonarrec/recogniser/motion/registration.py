@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import FloatArray, FloatImage
-from sonarrec.geometry import floor_depth
 from sonarrec.recogniser.motion.motion_grid import CellGrid
-from sonarrec.records import Fan
+from sonarrec.sonar.frame import Fan
+from sonarrec.sonar.geometry import floor_depth
 
 STEPS = 8  # at most
 # The motion is found by a step of less than SMALL standard errors, or than CONVERGED (m, m, rad).

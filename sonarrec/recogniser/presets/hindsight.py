@@ -13,7 +13,7 @@ from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.estimates import declared
 from sonarrec.recogniser.stage3 import likeliest
 from sonarrec.recogniser.stage3.opinions import FRAME_EXPONENT, TRACK_EXPONENT, Opinion
-from sonarrec.records import Estimate, FrameResult
+from sonarrec.sonar.frame import Estimate, FrameResult
 
 LEAST_MEAN_BELIEF = 0.5  # of a track's frames in an ID that hindsight declares
 # An ID is added to frames of an episode if it was declared in at least this share of those that

@@ -10,7 +10,6 @@ import cv2
 
 from sonarrec.config import Config
 from sonarrec.errors import Diagnostics
-from sonarrec.geometry import PoseTable
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.recogniser.presets.hindsight import Hindsight
 from sonarrec.recogniser.restore.saturation import Levels
@@ -19,7 +18,8 @@ from sonarrec.recogniser.ring_sizes import RingSizes
 from sonarrec.recogniser.stage3.reader import Reader, Weights
 from sonarrec.recogniser.stage3.shape_matrix import rotated_codes
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages, ThreeStages, Tracked
-from sonarrec.records import Fan, Frame, FrameResult
+from sonarrec.sonar.frame import Fan, Frame, FrameResult
+from sonarrec.sonar.geometry import PoseTable
 
 # Frames that stage 3 takes at once. One by one, a recording costs 63 to 93 % more time.
 FRAMES_AT_ONCE = 16

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from sonarrec.config import Config
-from sonarrec.records import Fan, Frame
+from sonarrec.sonar.frame import Fan, Frame
 
 # (field of view up to, beam width) in degrees: acoustic cameras (DIDSON, ARIS), multibeam sonars
 # of 60 deg, and those of 120 to 130.

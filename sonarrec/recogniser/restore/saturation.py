@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatImage, IntArray
-from sonarrec.geometry import fan_mask
 from sonarrec.recogniser.restore.static_pixels import BLACK
-from sonarrec.records import Fan, Frame
+from sonarrec.sonar.frame import Fan, Frame
+from sonarrec.sonar.geometry import fan_mask
 
 # A picture is saturated, not merely bright, if this share of its echoes is at the highest levels in
 # excess of what the levels below them suggest. JPEG spreads the highest level over a few.

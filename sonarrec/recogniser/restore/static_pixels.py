@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatImage, IndexArray, quantile
-from sonarrec.geometry import fan_mask
-from sonarrec.records import Frame
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import fan_mask
 
 # Only frames with a new view count. A view is new if the median change of its pixels since the
 # last view exceeds CHANGED of the median difference between neighbouring pixels. A sonar

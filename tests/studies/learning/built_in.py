@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from sonarrec.config import preset
-from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.learning.samples import describe, label
 from sonarrec.recogniser.stage3.model_file import BUILT_IN
 from sonarrec.recogniser.stage3.reader import LAST_LAYER, THETA, WEIGHT_STEPS, Weights
-from sonarrec.records import Frame
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_sonar
 from sonarrec.simulation.truth import Truth
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import PolarToFan, plane_from_polar
 from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples, joined_examples
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
 from tests.studies.learning.random_pictures import draw

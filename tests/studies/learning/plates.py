@@ -20,16 +20,16 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
 from sonarrec.drawing.landmarks import distances
 from sonarrec.errors import SonarrecError
-from sonarrec.geometry import PolarToFan, plane_from_polar
 from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.drawn.stage2 import smooth
 from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
-from sonarrec.records import Frame
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
 from sonarrec.simulation.truth import Truth
+from sonarrec.sonar.frame import Frame
+from sonarrec.sonar.geometry import PolarToFan, plane_from_polar
 from tests.support.simulated import in_processes
 
 SEEDS, FRAMES = range(1000, 1090), 24

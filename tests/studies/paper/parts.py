@@ -9,11 +9,11 @@ import numpy as np
 
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Config
-from sonarrec.geometry import polar_from_pixel
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.stage3.shape_matrix import ShapeSampler, identify, rotated_codes
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
-from sonarrec.records import Estimate, Fan, Frame, Selection
+from sonarrec.sonar.frame import Estimate, Fan, Frame, Selection
+from sonarrec.sonar.geometry import polar_from_pixel
 
 CONTINUITY = "continuity"
 """Stages 1 and 2, then SMI in every frame at its own operating point."""

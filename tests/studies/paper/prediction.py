@@ -34,13 +34,13 @@ from sonarrec.evaluation.plots import PUBLISHED
 from sonarrec.evaluation.rows import Matched
 from sonarrec.evaluation.uncertainty import coin_tosses
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI
-from sonarrec.records import Frame, FrameResult
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_in_view, truth_rows
+from sonarrec.sonar.frame import Frame, FrameResult
 from sonarrec.truth.table import write_truth
 from tests.studies.paper.parts import CONTINUITY, ONE, Parts
 from tests.studies.paper.published import CLEAR, HALF, IDS, TABLE_4, TABLE_5, WHOLE

@@ -14,7 +14,7 @@ from sonarrec.arrays import ByteImage
 from sonarrec.config import Candidates, Config, with_table
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.recogniser.three_stages import DiscStages
-from sonarrec.records import Estimate, Fan, Frame, Selection
+from sonarrec.sonar.frame import Estimate, Fan, Frame, Selection
 
 Table = Mapping[str, Mapping[str, Any]]
 

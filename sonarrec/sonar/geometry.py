@@ -17,8 +17,8 @@ import numpy as np
 
 from sonarrec.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from sonarrec.errors import SonarrecError
-from sonarrec.records import Fan, Motion, PolarImages
-from sonarrec.sonar import Geometry
+from sonarrec.sonar.frame import Fan, Motion, PolarImages
+from sonarrec.sonar.stated import Geometry
 
 MAX_FAN_PIXELS = 2**24
 MAX_SIDE = 2**15 - 2  # of the images that cv2.remap can read and make

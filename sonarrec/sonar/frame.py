@@ -10,15 +10,6 @@ from typing import TYPE_CHECKING, Literal, Protocol
 if TYPE_CHECKING:  # a command's --help needs no numpy, whose import takes longer than all the rest
     from sonarrec.arrays import BoolArray, ByteImage, FloatArray, FloatImage
 
-# Stated here, because looking it up in the installed package takes longer than loading click.
-VERSION = "0.2.0"
-PART = ".part"
-"""Ending of the name of a results folder whose run is not finished; no other folder has it."""
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
-"""How the names of images end; a folder that holds some is a log."""
-ARRAY_SUFFIX = ".npy"
-"""Of an array of NumPy; a folder that holds some, and neither images nor other logs, is a log."""
-
 
 @dataclass(frozen=True, slots=True)
 class Fan:

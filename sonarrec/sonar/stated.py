@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sonarrec.errors import SonarrecError, UsageError, as_usage
-from sonarrec.records import BeamOrder, ColourMap
+from sonarrec.sonar.frame import BeamOrder, ColourMap
 from sonarrec.tables.toml import Finite, from_table, read_toml
 
 MIN_WINDOW_M = 0.01
