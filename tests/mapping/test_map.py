@@ -493,7 +493,7 @@ def test_the_picture_shows_what_was_found_in_the_colours_of_the_ids(
     # What is lit of each, halfway out, is what its ID says at its orientation.
     for disc, row, patches in zip(SITE, read_rows(folder / "map" / "map.csv"), lit, strict=True):
         angle = np.radians(np.arange(2.5, 360, 5))
-        paths = patches.get_paths()
+        paths = patches.get_paths()[1:]  # the first is the ring
         code = BASIN.codes(angle - math.radians(float(row["orientation_deg"])))
         place = np.array([float(row["x_m"]), float(row["y_m"])])
         points = place + 0.4 * BASIN.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])

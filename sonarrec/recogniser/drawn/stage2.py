@@ -75,6 +75,7 @@ class Plates:
             tracks["unseen"][row] += 1
             if self._is_clear(fit, LEAST_NEAR):
                 fits[row], tracks["unseen"][row] = fit, 0
+        tracks["seen"][known] = tracks["unseen"][known] == 0
         # Plates do not overlap: of two the better fit stays.
         seen: list[Fit] = []
         for fit, row in sorted(

@@ -63,7 +63,7 @@ class Hindsight:
 
     Frames keep their own beliefs if their mean belief in the pool's ID is below LEAST_MEAN_BELIEF.
     An ID is never declared in a frame where too little of its object is in view. A belief holds for
-    one episode of a track (see Evidence), since another object may have got the track's number.
+    one episode of a track (AppearanceMeasurement): another object may have got the track's number.
 
     An ID that most frames of an episode declared by themselves is taken back in none of them, since
     the mean of many frames is blurred where their motion is not quite known. An ID that too few of
