@@ -13,8 +13,8 @@ from sonarrec.recogniser.stage3.reader import LAST_LAYER, Reader, Weights
 
 # Weight of the prior, in frames: on the squared change of each gain and bias, as the root mean
 # square of what it does to log beliefs. The frames of a track share a memory of 40
-# (features.memory_frames), and say hardly more than one would. Chosen of 10, 30 and 100 on recordings
-# of four sites, each read by a model of the site's others, and by models of the other sites.
+# (features.memory_frames), and say hardly more than one would. Chosen of 10, 30 and 100 on
+# recordings of four sites, each read by a model of the site's others, and by those of other sites.
 PRIOR_WEIGHT = 30.0
 LEAST_SPREAD = 1e-3
 SMALL = 1e-3
