@@ -41,7 +41,7 @@ MOST_LINES = {
     "mapping": 1466,
     "overlays": 633,
     "readers": 6403,
-    "recogniser": 5674,
+    "recogniser": 5676,
     "reports": 2679,
     "results": 1979,
     "runs": 1611,

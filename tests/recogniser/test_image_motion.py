@@ -13,6 +13,7 @@ import pytest
 from sonarrec.arrays import ByteImage, FloatArray
 from sonarrec.config import Continuity
 from sonarrec.recogniser.motion.image_motion import _Evidence
+from sonarrec.recogniser.motion.motion_grid import CellGrid, MotionGrid
 from sonarrec.recogniser.motion.odometry import Odometry
 from sonarrec.recogniser.motion.registration import Registration
 from sonarrec.recogniser.plane import working_plane
@@ -265,3 +266,11 @@ def test_a_motion_that_was_not_found_at_first_is_searched_for_again() -> None:
     found, _ = as_rows(motions)
     true = truth(run.poses()[12:20])
     np.testing.assert_allclose(found[4:, 1], true[3:, 1], atol=0.02)
+
+
+def test_cells_of_a_field_of_view_in_radians_make_no_endless_grid() -> None:
+    """191 columns over half a degree: steps of two cells would be 1,100 to either side."""
+    step = math.radians(0.5) / 191
+    floats = np.float32(1.25), 0.01, np.float32(-step * 95), step, np.float32(0.7)
+    grid = MotionGrid(CellGrid((256, 191), *floats))
+    assert grid._index.nbytes < 20e6

@@ -55,13 +55,15 @@ class MotionGrid:
     BLOCKS = (8, 6)  # down, across
     MOST = (0.09, 0.16, math.radians(6.0))  # m to the right, m ahead, rad: to either side
     FINENESS = (0.01, 0.02)  # m between the grid's shifts; its yaws differ by two cells
+    LEAST_YAW = math.radians(0.1)  # between its yaws; else a field of view in radians takes 1.8 GB
 
     def __init__(self, cells: CellGrid) -> None:
         rows, columns = (side // 2 for side in cells.shape)
         self._block = (rows // self.BLOCKS[0], columns // self.BLOCKS[1])
+        fineness = *self.FINENESS, max(2 * cells.bearing_step, self.LEAST_YAW)
         right, ahead, yaw = (
             np.arange(-math.ceil(most / fine), math.ceil(most / fine) + 1) * fine
-            for most, fine in zip(self.MOST, (*self.FINENESS, 2 * cells.bearing_step), strict=True)
+            for most, fine in zip(self.MOST, fineness, strict=True)
         )
         motions = np.stack(np.meshgrid(right, ahead, yaw, indexing="ij")).reshape(3, -1, 1)
         self._motions = motions[..., 0].T
