@@ -185,10 +185,10 @@ def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
 
 def _in_radians(sonar: Sonar, fan: Fan) -> Iterator[str]:
     """Which stated angles are so small that they may be in radians."""
-    angles = {"field_of_view_deg": fan.bearing_max_deg - fan.bearing_min_deg}
+    stated = [("field_of_view_deg", fan.bearing_max_deg - fan.bearing_min_deg, math.pi)]
     if sonar.tilt_deg is not None and sonar.tilt_deg % 1:  # 1 deg is one, and 0 is level
-        angles["tilt_deg"] = sonar.tilt_deg
-    for name, angle, most in zip(angles, angles.values(), (math.pi, math.pi / 2), strict=False):
+        stated.append(("tilt_deg", sonar.tilt_deg, math.pi / 2))
+    for name, angle, most in stated:
         if 0 < angle <= most:
             yield (
                 f"{name} is {angle:.3g}, which is very small; if it is in radians, write "

@@ -17,8 +17,8 @@ from sonarrec.recogniser.stage3.reader import LAST_LAYER, Reader, Weights
 # recordings of four sites, each read by a model of the site's others, and by those of other sites.
 PRIOR_WEIGHT = 30.0
 LEAST_SPREAD = 1e-3
-SMALL = 1e-3
-"""Change of a gain or bias: that of slopes, and the least step."""
+LEAST_STEP = 1e-3
+"""Of a gain or bias; slopes are differences over it."""
 MOST_STEPS = 50
 AT_ONCE = 500
 """Samples whose layers, or beliefs, are in memory together."""
@@ -65,14 +65,14 @@ def fit(
         joined = np.concatenate(logs)
         return np.asarray(joined - np.logaddexp.reduce(joined, axis=1, keepdims=True))
 
-    def slopes_at(change: FloatArray) -> FloatArray:
-        """(n, K + 1, 6) of the log beliefs along each change."""
+    def with_slopes(change: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The log beliefs, and (n, K + 1, 6) their slopes along each change."""
         log_p = log_probabilities(change)
-        moved = [log_probabilities(change + by) for by in SMALL * np.eye(len(change))]
-        return np.stack([other - log_p for other in moved], axis=-1) / SMALL
+        moved = [log_probabilities(change + by) for by in LEAST_STEP * np.eye(len(change))]
+        return log_p, np.stack([other - log_p for other in moved], axis=-1) / LEAST_STEP
 
     change: FloatArray = np.zeros(2 * len(LAST_LAYER))
-    slopes = slopes_at(change)
+    log_p, slopes = with_slopes(change)
     # A change counts by what it does to beliefs, for the outputs differ in size.
     penalty = prior_weight * ((slopes**2).mean(axis=(0, 1)) + LEAST_SPREAD**2)
 
@@ -81,24 +81,23 @@ def fit(
 
     least = loss(change)
     for _ in range(MOST_STEPS):
-        weighted = slopes * np.exp(log_probabilities(change) / 2)[..., None]
+        weighted = slopes * np.exp(log_p / 2)[..., None]
         information = np.einsum("nkd,nke->de", weighted, weighted) + np.diag(penalty)
         gradient = slopes[every, label].sum(axis=0) - penalty * change
         step = np.linalg.solve(information, gradient)
-        while (new := loss(change + step)) > least and np.abs(step).max() > SMALL:
+        while (new := loss(change + step)) > least and np.abs(step).max() > LEAST_STEP:
             step = step / 2
         if new > least - 1e-6 * abs(least):
             break
         change, least = change + step, new
-        slopes = slopes_at(change)
+        log_p, slopes = with_slopes(change)
     return _changed(built_in, change)
 
 
 def _changed(weights: Weights, change: FloatArray) -> Weights:
     """The weights with other gains and biases of the last layer's outputs."""
     changed = dict(weights)
-    by = zip(LAST_LAYER, *change.reshape(2, -1), strict=True)
-    for name, gain, bias in by:
+    for name, gain, bias in zip(LAST_LAYER, *change.reshape(2, -1), strict=True):
         changed[name] = (1 + gain) * weights[name]
         changed[name][-1] += bias
     return changed

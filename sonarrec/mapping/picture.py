@@ -146,20 +146,13 @@ def _drawing(
     x, y = position.tolist()
     (inner, outer), sectors = landmarks.symbol, landmarks.sectors[k]
     step = 360 / len(sectors)
-    lit = [
-        Wedge(
-            (x, y),
-            radius * landmarks.ring[1],
-            0,
-            360,
-            width=radius * (landmarks.ring[1] - landmarks.ring[0]),
-        )
-    ]
+    ring_width = radius * (landmarks.ring[1] - landmarks.ring[0])
+    lit: list[Patch] = [Wedge((x, y), radius * landmarks.ring[1], 0, 360, width=ring_width)]
     for n in np.flatnonzero(sectors).tolist() if known else ():
         first = rotation_deg + n * step
         width = radius * (outer - inner)
         lit.append(Wedge((x, y), radius * outer, first, first + step, width=width))
-    return [Wedge((x, y), radius, 0, 360)], list(lit)
+    return [Wedge((x, y), radius, 0, 360)], lit
 
 
 def _floor_seen(log: MappedLog) -> FloatArray:
