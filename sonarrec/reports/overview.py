@@ -100,12 +100,12 @@ def headline(rows: Sequence[LogRow], evaluation: Evaluation | None) -> str:
         parts = {name: parts[name] for name in ("failed", "partial")}
     else:
         counts = evaluation.counts
-        method, frames = counts.methods[0], sum(log.frames for log in counts.counted)
+        method = counts.methods[0]
         count = counts.count(method, protocols(counts)[0])
-        false = 100 * count.fp / frames if frames else 0.0
         line = (
             f"{len(evaluation.folders)} of {number_of(len(rows), 'log')} scored: {method} has TPR "
-            f"{count.tpr:.3f}, FPR {count.fpr:.4f}, {false:.2g} false claims in 100 frames"
+            f"{count.tpr:.3f}, FPR {count.fpr:.4f}, {count.false_per_100:.2f} false claims in 100 "
+            "frames"
         )
     wrong = ", ".join(f"{n} {what}" for what, n in parts.items() if n)
     return f"{line}; {wrong}" if wrong else line

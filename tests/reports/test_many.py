@@ -71,7 +71,7 @@ def test_the_page_of_many_logs_begins_with_a_line_on_all(tmp_path: Path) -> None
     line = text[text.index('class="headline"') :].partition("</p>")[0]
     assert "2 of 2 logs scored" in line
     assert "TPR 0.500" in line
-    assert "1.2 false claims in 100 frames" in line  # one in 80
+    assert "1.25 false claims in 100 frames" in line  # one in 80
     assert "<h3>framework" in section(text, "mistakes")
     assert "<h3>smi" not in section(text, "mistakes")
 
