@@ -34,7 +34,7 @@ PARTS = (
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
     "advice": 1085,
-    "cli": 3106,
+    "cli": 3105,
     "drawing": 696,
     "evaluation": 3098,
     "learning": 524,

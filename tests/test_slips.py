@@ -54,7 +54,7 @@ def test_a_name_that_is_not_there_is_answered_by_one_that_is(words: str, meant: 
     [("0,68", "0.68"), ("-1,5", "-1.5"), (",5", ".5"), ("20°", "alone"), ("3 m", "alone")],
 )
 def test_a_number_is_written_with_a_point_and_alone(text: str, meant: str) -> None:
-    assert plain_number(text).endswith(meant) or meant in plain_number(text)
+    assert meant in plain_number(text)
     assert not plain_number("north")
     option = CliRunner().invoke(main, ["run", "x", f"--range-min-m={text}"]).stderr
     assert meant in " ".join(option.split())

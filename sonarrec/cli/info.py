@@ -175,6 +175,9 @@ def _draw(preview: Path, log: NamedLog, reading: dict[str, Any], landmarks: str 
 
 
 # What is printed of many logs: a row each
+ROW_HEADS = ("log", "frames", "span", "geometry", "state")
+BRIEFLY = ("range_min_m", "range_max_m", "field_of_view_deg")
+"""Keys of the geometry that the row has."""
 
 
 def _row(width: int, cells: Sequence[str]) -> str:
@@ -207,10 +210,6 @@ def row_cells(info: LogInfo) -> Iterator[tuple[str, str, str, str, str]]:
         if beams := images.geometry.get("bearings_deg"):
             brief["field_of_view_deg"] = round(max(beams) - min(beams), 2)
         yield name, frames, span, ", ".join(_stated(brief)) or "-", state
-
-
-BRIEFLY = ("range_min_m", "range_max_m", "field_of_view_deg")
-ROW_HEADS = ("log", "frames", "span", "geometry", "state")
 
 
 # What is printed of a log: what is wrong first, notes last
