@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sonarrec.arrays import Table
 from sonarrec.evaluation.counts import Counts, corners
@@ -73,6 +72,8 @@ def draw_roc(path: Path, counts: Counts) -> None:
 
     roc.csv has the whole curve.
     """
+    from matplotlib.figure import Figure  # a second, which the report does not need
+
     charts = {protocol: roc(counts, protocol) for protocol in counts.protocols}
     right = max(chart.fpr_end for chart in charts.values())
     figure = Figure(figsize=(5.2 * len(charts), 5.6), dpi=DPI, layout="constrained")

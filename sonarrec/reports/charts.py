@@ -10,11 +10,11 @@ keep their width. Tick labels are text outside the sheet, so charts stay legible
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.drawing.pen import Colour
@@ -83,11 +83,15 @@ class Axis(NamedTuple):
         return np.asarray((np.asarray(values, dtype=float) - self.low) / (self.high - self.low))
 
     def ticks(self, most: int = 6) -> list[Tick]:
-        """Round values along the axis."""
-        values = MaxNLocator(nbins=most, steps=[1, 2, 2.5, 5, 10]).tick_values(self.low, self.high)
-        shares = zip(self.share(np.asarray(values)).tolist(), values, strict=True)
-        inside = [(share, value) for share, value in shares if -1e-9 < share < 1 + 1e-9]
-        return [(round(100 * share, 2), f"{value:.12g}") for share, value in inside]
+        """Round values along the axis, with at most so many steps between them."""
+        decade = 10.0 ** math.floor(math.log10((self.high - self.low) / most))
+        for step in decade * np.array([0.5, 1, 2, 2.5, 5, 10]):
+            first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+            if last - first <= most:
+                break
+        values = step * np.arange(first, last + 1)
+        shares = zip(self.share(values).tolist(), values.tolist(), strict=True)
+        return [(round(100 * share, 2), f"{value:.12g}") for share, value in shares]
 
 
 UNIT = Axis(0.0, 1.0)
