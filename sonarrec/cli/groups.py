@@ -95,6 +95,17 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class Whole(click.IntRange):
+    """A whole number within bounds."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        try:
+            int(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a whole number; write one, such as 2", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 NUMBER = Number()
 
 

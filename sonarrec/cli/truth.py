@@ -20,6 +20,7 @@ from sonarrec.cli.groups import (
     NUMBER,
     FiniteRange,
     GroupedCommand,
+    Whole,
     file_names,
     in_input,
     in_output,
@@ -73,7 +74,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 )
 @in_input(
     "--first-frame",
-    type=int,
+    type=Whole(),
     default=0,
     metavar="N",
     help="Number of the log's first frame in the images' names.",
@@ -243,7 +244,7 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
 )
 @in_scoring(
     "--max-gap",
-    type=click.IntRange(min=0),
+    type=Whole(min=0),
     default=8,
     help="Longest gap in a track that is filled in, frames.",
 )
@@ -298,9 +299,7 @@ def propose(
     help="Results of LOG, or the folder that holds them.  [default: sonarrec_out]",
 )
 @options.method
-@in_input(
-    "--every", type=click.IntRange(min=1), default=1, help="Put every N-th frame in the page."
-)
+@in_input("--every", type=Whole(min=1), default=1, help="Put every N-th frame in the page.")
 @options.frame_list("Put these frames in the page.")
 @in_scoring(
     "--mistakes",
