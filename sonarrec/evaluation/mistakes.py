@@ -43,7 +43,7 @@ class Mistake(NamedTuple):
     """By which it is one: strict, or paper if strict is not scored."""
     at_start: int
     """1 if a method with tracks, which looks at one in two frames before it declares it, missed
-    only the log's first frame."""
+    only the first frame of a log of several."""
 
     @property
     def span(self) -> str:
@@ -152,7 +152,7 @@ def over_frames(log: Matched, wrong: Table) -> Table:
         score=np.where(score[worst] < 0, np.nan, score[worst]),
         times=end + 1 - start,
         worst_frame=log.frame[frame[worst]],
-        at_start=kind * (frame[end] == 0),
+        at_start=kind * (frame[end] == 0) * (len(log.frame) > 1),
     )
 
 
