@@ -58,11 +58,11 @@ def _slopes(size: int) -> FloatImage:
 
 
 def levelled(pictures: FloatImage, light: FloatImage) -> FloatImage:
-    """(n, size ** 2) pictures without uneven light, of norm 1. light: (n, 4, size ** 2)."""
+    """(..., n, size ** 2) pictures without uneven light, of norm 1. light: (n, 4, size ** 2)."""
     share = light @ pictures[..., None]
-    residual = pictures - (share.transpose(0, 2, 1) @ light)[:, 0]
-    norm = np.linalg.norm(residual, axis=1, keepdims=True)
-    return np.asarray(residual / np.maximum(norm, 1e-6), np.float32)
+    residual = pictures - (share.swapaxes(-1, -2) @ light)[..., 0, :]
+    norm = np.sqrt(np.einsum("...i,...i->...", residual, residual))
+    return np.asarray(residual / np.maximum(norm, 1e-6)[..., None], np.float32)
 
 
 def comparisons(
@@ -76,23 +76,24 @@ def comparisons(
     `uneven_light`.
     """
     match = (pictures * drawings).sum(axis=1)
-    matches = [match]
+    matches, both = [match], np.stack([pictures, drawings])
     for sigma in SOFTENED:
         blur = _blur(sigma)
-        soft = [
-            levelled(np.reshape(blur @ x.reshape(-1, FINE, FINE) @ blur.T, (-1, FINE**2)), light)
-            for x in (pictures, drawings)
-        ]
-        matches.append((soft[0] * soft[1]).sum(axis=1))
+        soft = np.asarray(blur @ both.reshape(2, -1, FINE, FINE) @ blur.T, np.float32)
+        picture, drawing = levelled(soft.reshape(both.shape), light)
+        matches.append((picture * drawing).sum(axis=1))
     rest = (pictures - match[:, None] * drawings).reshape(-1, FINE, FINE)
-    power = np.maximum((rest**2).sum(axis=(1, 2)), 1e-6)
-    right, down = (
-        [(r[:, :, n:] * r[:, :, :-n]).sum(axis=(1, 2)) / power for n in LAGS]
-        for r in (rest, rest.transpose(0, 2, 1))
-    )
+    power = np.maximum(_products(rest, rest), 1e-6)
+    right = [_products(rest[:, :, n:], rest[:, :, :-n]) / power for n in LAGS]
+    down = [_products(rest[:, n:], rest[:, :-n]) / power for n in LAGS]
     along_down = np.abs(range_ward[:, 1]) > np.abs(range_ward[:, 0])
     across, along = np.where(along_down, [right, down], [down, right])
     return np.stack([*matches, *across, *along], axis=1)
+
+
+def _products(one: FloatImage, other: FloatImage) -> FloatImage:
+    """(n,) sums of the products of n pictures' samples."""
+    return np.asarray(np.einsum("nij,nij->n", one, other))
 
 
 @functools.cache
@@ -133,9 +134,9 @@ class Drawings:
         """
         return self._smeared_kept(size, *_stepped(smear))
 
-    def seen_one(self, row: int, size: int, smear: tuple[float, float]) -> FloatImage:
-        """(size, size) of one drawing; the rest as of `seen`."""
-        return self._one_kept(row, size, *_stepped(smear))
+    def seen_one(self, row: int, way: int, size: int, smear: tuple[float, float]) -> FloatImage:
+        """(size, size) of one drawing as it shows in a picture; the rest as of `seen`."""
+        return self._one_kept(row, way, size, *_stepped(smear))
 
     def _smeared(self, size: int, across: float, down: float) -> FloatImage:
         made = np.empty((len(self._cells), size, size), np.float32)
@@ -145,8 +146,8 @@ class Drawings:
             made[sides == n] = _spread(size, n, down) @ cells @ _spread(size, n, across).T
         return made
 
-    def _smeared_one(self, row: int, size: int, across: float, down: float) -> FloatImage:
-        cells = self._cells[row]
+    def _smeared_one(self, row: int, way: int, size: int, across: float, down: float) -> FloatImage:
+        cells = shown(self._cells[row], way)
         n = len(cells)
         return np.asarray(_spread(size, n, down) @ cells @ _spread(size, n, across).T)
 

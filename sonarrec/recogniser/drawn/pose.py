@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import dist
 
 import cv2
@@ -37,7 +38,7 @@ ROTATIONS_DEG, AXIS_DEG = range(-45, 45, 15), (-25, 0, 25)
 REACH, NEAR = 6, 2
 # Of the poses tried, those that are refined a little, and wholly; of a drawing, SAME at most, with
 # SEPARATION halves of a side or more between their middles.
-STARTS, BEST, SAME, SEPARATION = 20, 4, 2, 0.3
+STARTS, BEST, SAME, SEPARATION = 12, 4, 2, 0.3
 # Singular values over half a side: least and most of the larger, least of the smaller.
 BOUNDS = {"free": (0.88, 1.14, 0.28), "floor": (0.92, 1.08, 0.92)}
 EXPLAINED = 1.5  # halves of a side: what lies nearer to a plate's middle is no other plate
@@ -93,17 +94,40 @@ class PoseFitter:
             ]
         )
 
-    def search(self, image: FloatImage, position: FloatArray, others: Sequence[FloatArray]) -> Fit:
-        """The likeliest fit of any drawing, in any pose, with its middle near a position, (2,).
+    def search(
+        self, image: FloatImage, positions: FloatArray, others: Sequence[Sequence[FloatArray]]
+    ) -> list[Fit]:
+        """The likeliest fits of any drawing, in any pose, with their middles near n positions.
 
-        others: poses of plates that are known: it does not lie on these.
+        positions: (n, 2). others: of each, poses of plates that are known: it does not lie on
+        these.
         """
-        return max(self.candidates(image, position, others), key=lambda fit: fit.odds)
+        found = self.candidates(image, positions, others)
+        return [max(fits, key=lambda fit: fit.odds) for fits in found]
 
     def candidates(
+        self, image: FloatImage, positions: FloatArray, others: Sequence[Sequence[FloatArray]]
+    ) -> list[list[Fit]]:
+        """Some of the best fits at each position, as of `search`."""
+        # All are refined together: a step costs little more for many poses than for one.
+        starts = [
+            self._starts(image, place, poses)
+            for place, poses in zip(positions, others, strict=True)
+        ]
+        poses, rows, ways = (np.concatenate(part) for part in zip(*starts, strict=True))
+        fits = self._refined(image, poses, (rows, ways), FIRST_ROUNDS)
+        places = np.split(np.arange(len(fits)), np.cumsum([len(one[0]) for one in starts])[:-1])
+        best = [sorted(place, key=lambda n: -fits[n].odds)[:BEST] for place in places]
+        chosen = np.concatenate(best)
+        poses = np.array([fits[n].pose for n in chosen])
+        found = iter(self._refined(image, poses, (rows[chosen], ways[chosen]), ROUNDS))
+        return [list(islice(found, len(some))) for some in best]
+
+    def _starts(
         self, image: FloatImage, position: FloatArray, others: Sequence[FloatArray]
-    ) -> list[Fit]:
-        """Some of the best fits, as of `search`."""
+    ) -> tuple[FloatArray, IndexArray, IndexArray]:
+        """Of the drawings that match best near a position some of the best poses: (n, 6) poses,
+        (n,) rows and (n,) ways of the drawings."""
         sight = self.plane.line_of_sight(position[None])[0] - np.pi / 2
         matrices = _rotation(float(np.degrees(sight))) @ self._tried
         poses = np.concatenate(
@@ -116,7 +140,6 @@ class PoseFitter:
         match, middles, way = self._shifted(image, poses, templates, REACH)
         for other in others:
             match[self.halves_off(other, middles) < EXPLAINED] = -1
-        # Some of the best drawings, each in its best poses: refinement distinguishes them.
         chosen: list[tuple[int, int]] = []
         chosen_middles: list[list[list[float]]] = [
             [] for _ in rows
@@ -132,11 +155,7 @@ class PoseFitter:
                 break
         i, k = np.array(chosen).T
         starts = np.concatenate([middles[i, k], poses[i, 2:]], axis=1)
-        drawings = self.drawings.sought[k], ways[way[i, k]]
-        fits = self._refined(image, starts, drawings, FIRST_ROUNDS)
-        fits = sorted(fits, key=lambda fit: -fit.odds)[:BEST]
-        drawings = np.array([fit.row for fit in fits]), np.array([fit.way for fit in fits])
-        return self._refined(image, np.array([fit.pose for fit in fits]), drawings, ROUNDS)
+        return starts, self.drawings.sought[k], ways[way[i, k]]
 
     def near(self, image: FloatImage, last: Sequence[Fit]) -> list[Fit]:
         """Of each plate the fit of the same drawing with a pose near that of the frame before."""
@@ -145,8 +164,8 @@ class PoseFitter:
         before = np.array([fit.pose for fit in last])
         moved = before.copy()
         for n, (fit, smear) in enumerate(zip(last, self.smears(before), strict=True)):
-            coarse = self.drawings.seen_one(fit.row, COARSE, (max(smear), max(smear)))
-            template = shown(coarse, fit.way)[None, None]
+            coarse = self.drawings.seen_one(fit.row, fit.way, COARSE, (max(smear), max(smear)))
+            template = coarse[None, None]
             moved[n, :2] = self._shifted(image, before[n, None], template, NEAR)[1][0, 0]
         drawings = np.array([(fit.row, fit.way) for fit in last] * 2).T
         poses = np.concatenate([moved, before])
@@ -191,8 +210,9 @@ class PoseFitter:
 
     def halves_off(self, pose: FloatArray, pixels: FloatArray) -> FloatArray:
         """(...) distance of (..., 2) pixels from a plate's middle, in halves of its side there."""
-        inverse = np.linalg.inv(pose[2:].reshape(2, 2))
-        return np.asarray(np.abs((pixels - pose[:2]) @ inverse.T).max(axis=-1))
+        (a, b), (c, d) = np.linalg.inv(pose[2:].reshape(2, 2))
+        x, y = pixels[..., 0] - pose[0], pixels[..., 1] - pose[1]
+        return np.asarray(np.maximum(np.abs(a * x + b * y), np.abs(c * x + d * y)))
 
     def _shifted(
         self, image: FloatImage, poses: FloatArray, templates: FloatImage, reach: int
@@ -207,15 +227,15 @@ class PoseFitter:
         light = uneven_light(COARSE, np.array([[0.0, 1.0]]))
         flat = levelled(templates.reshape(k * ways, -1), light)
         windows = np.lib.stride_tricks.sliding_window_view(wide, (COARSE, COARSE), axis=(1, 2))
-        windows = windows.reshape(n * side**2, COARSE**2)
-        squares = np.einsum("ij,ij->i", windows, windows)
-        products = windows @ np.concatenate([flat, light[0]]).T
-        match, of_light = products[:, : k * ways], products[:, k * ways :]
-        left = squares - np.einsum("ij,ij->i", of_light, of_light)
-        match = match / np.sqrt(np.maximum(left, 1))[:, None]
-        match = match.reshape(n, side**2, k, ways).transpose(0, 2, 1, 3).reshape(n, k, -1)
+        windows = windows.transpose(0, 3, 4, 1, 2).reshape(n, COARSE**2, side**2)
+        of_light = light[0] @ windows
+        squares, in_light = (np.einsum("nij,nij->nj", x, x) for x in (windows, of_light))
+        left = squares - in_light
+        match = flat @ windows
+        match /= np.sqrt(np.maximum(left, 1))[:, None]
+        match = match.reshape(n, k, ways * side**2)
         best = match.argmax(axis=2)
-        shift, way = np.divmod(best, ways)
+        way, shift = np.divmod(best, side**2)
         offset = (np.stack(np.divmod(shift, side)[::-1], axis=2) - reach) * (2 / COARSE)
         middles = poses[:, None, :2] + offset @ poses[:, 2:].reshape(n, 2, 2).transpose(0, 2, 1)
         return np.take_along_axis(match, best[..., None], axis=2)[..., 0], middles, way
@@ -237,7 +257,7 @@ class PoseFitter:
         light = uneven_light(FINE, range_ward)
         templates = np.stack(
             [
-                shown(self.drawings.seen_one(row, FINE, smear[::-1] if way % 2 else smear), way)
+                self.drawings.seen_one(row, way, FINE, smear)
                 for smear, row, way in zip(
                     self.smears(poses), rows.tolist(), ways.tolist(), strict=True
                 )
@@ -268,15 +288,18 @@ class PoseFitter:
         """(n, 6) poses with singular values that a plate can have."""
         low, high, least = (self._half * bound for bound in self._bounds)
         a, b, c, d = poses[:, 2:].T
-        both, off = np.hypot(a + d, c - b), np.hypot(a - d, b + c)  # sum and difference of the two
-        larger, smaller = (both + off) / 2, np.abs(both - off) / 2
-        if larger.min() >= low and larger.max() <= high and smaller.min() >= least:
-            return poses
-        u, values, v = np.linalg.svd(poses[:, 2:].reshape(-1, 2, 2))
-        larger = values[:, 0].clip(low, high)
-        smaller = np.minimum(values[:, 1].clip(least), larger)
-        matrix = (u * np.stack([larger, smaller], axis=1)[:, None]) @ v
-        return np.concatenate([poses[:, :2], matrix.reshape(-1, 4)], axis=1)
+        # A matrix is a scaled rotation and a scaled mirroring, here as complex numbers; its
+        # singular values are the sum and the difference of their sizes, which is below 0 where
+        # the whole is mirrored.
+        turned, mirrored = (a + d + 1j * (c - b)) / 2, (a - d + 1j * (c + b)) / 2
+        sizes = np.abs(turned), np.abs(mirrored)
+        larger = (sizes[0] + sizes[1]).clip(low, high)
+        smaller = np.minimum(np.abs(sizes[0] - sizes[1]).clip(least), larger)
+        smaller = np.copysign(smaller, sizes[0] - sizes[1])
+        turned *= (larger + smaller) / 2 / np.maximum(sizes[0], 1e-9)
+        mirrored *= (larger - smaller) / 2 / np.maximum(sizes[1], 1e-9)
+        right, down = turned + mirrored, turned - mirrored
+        return np.stack([*poses[:, :2].T, right.real, -down.imag, right.imag, down.real], axis=1)
 
 
 def _rotation(deg: float) -> FloatArray:
@@ -306,11 +329,10 @@ def _steps(flat: FloatImage, light: FloatImage) -> FloatImage:
     """(n, 6, FINE ** 2) what turns a picture over its match into the way to go: by how much it is
     shifted, then by how much it is stretched, against its drawing. flat: (n, FINE ** 2)."""
     n = len(flat)
-    pictures = flat.reshape(n, FINE, FINE)
-    down, right = (np.asarray(np.gradient(pictures, 2 / FINE, axis=a), np.float32) for a in (1, 2))
-    u, v = points(FINE)
+    pictures, slope = flat.reshape(n, FINE, FINE), _slope()
+    right, down = (x.reshape(n, -1) for x in (pictures @ slope.T, slope @ pictures))
+    u, v = (x.ravel() for x in points(FINE))
     slopes = np.stack([right, down, right * u, right * v, down * u, down * v], axis=1)
-    slopes = slopes.reshape(n, 6, -1)
     fixed = np.concatenate([light, flat[:, None]], axis=1)
     slopes = slopes - (slopes @ fixed.transpose(0, 2, 1)) @ fixed
     curvature = slopes @ slopes.transpose(0, 2, 1)
@@ -318,3 +340,9 @@ def _steps(flat: FloatImage, light: FloatImage) -> FloatImage:
     # Inverses of so few rows cost a tenth of what solving for all the columns does.
     inverse = np.linalg.inv(curvature + RIDGE * mean * np.eye(6))
     return np.asarray(inverse @ slopes, np.float32)
+
+
+@functools.cache
+def _slope() -> FloatImage:
+    """(FINE, FINE) what gives the slope of a fine picture's columns, per half of a side."""
+    return np.asarray(np.gradient(np.eye(FINE), 2 / FINE, axis=0), np.float32)

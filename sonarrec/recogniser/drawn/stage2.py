@@ -26,7 +26,7 @@ LEAST_MATCH, LEAST_NEAR = 0.57, 0.48
 LOST_FRAMES = 12  # without a picture; then the pose is looked for again
 # A pose is looked for FIRST times in a track's first frames, then in every OFTEN-th while none is
 # sure.
-FIRST, OFTEN, SURE = 3, 8, 2.0  # log odds
+FIRST, OFTEN, SURE = 3, 16, 2.0  # log odds
 BETTER = 1.0  # by how much likelier, in log odds, another pose must be, to be taken instead
 FIRST_SEARCHES, SEARCHES = 2, 1  # in one frame, at most: where new groups wait, and else
 PEAK = 0.25  # halves of a side, of the score of a plate that was found
@@ -113,9 +113,9 @@ class Plates:
         tracks["age"][rows] += 1
         waiting = sorted((tracks["searched"][row], row) for row in rows if self._wanting(row))
         new = bool(waiting) and waiting[0][0] < FIRST
-        for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]:
-            tracks["searched"][row] += 1
-            self._search(image, row)
+        searched = [row for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]]
+        if searched:
+            self._search(image, searched)
         seen = rows[tracks["seen"][rows]]
         for row in seen:
             tracks["position"][row] = tracks["fit"][row].pose[:2]
@@ -130,16 +130,27 @@ class Plates:
             tracks["searched"][row] < FIRST or (not sure and tracks["age"][row] % OFTEN == 0)
         )
 
-    def _search(self, image: FloatImage, row: int) -> None:
-        tracks, known = self._tracks, self._tracks["fit"][row]
-        others = [fit.pose for fit in tracks["fit"] if fit is not None and fit is not known]
-        position = tracks["position"][row] if known is None else known.pose[:2]
-        fit = self._fitter.search(image, position, others)
-        if not self._is_clear(fit, LEAST_MATCH) or self._overlaps(fit, others):
-            return
-        if known is None or not tracks["seen"][row] or fit.odds > known.odds + BETTER:
-            tracks["began"][row] = 0 if known is None else tracks["began"][row] + 1
-            tracks["fit"][row], tracks["seen"][row], tracks["unseen"][row] = fit, True, 0
+    def _search(self, image: FloatImage, rows: Sequence[int]) -> None:
+        """Look for the plates of tracks; what is found is taken if it is clear, and better."""
+        tracks, fits = self._tracks, self._tracks["fit"]
+        tracks["searched"][rows] += 1
+        positions = tracks["position"][rows]
+        for n, row in enumerate(rows):
+            if fits[row] is not None:
+                positions[n] = fits[row].pose[:2]
+        found = self._fitter.search(image, positions, [self._others(row) for row in rows])
+        for fit, row in zip(found, rows, strict=True):
+            known, others = fits[row], self._others(row)
+            if not self._is_clear(fit, LEAST_MATCH) or self._overlaps(fit, others):
+                continue
+            if known is None or not tracks["seen"][row] or fit.odds > known.odds + BETTER:
+                tracks["began"][row] = 0 if known is None else tracks["began"][row] + 1
+                fits[row], tracks["seen"][row], tracks["unseen"][row] = fit, True, 0
+
+    def _others(self, row: int) -> list[FloatArray]:
+        """Poses of the known plates of all tracks but one."""
+        fits = self._tracks["fit"]
+        return [fit.pose for n, fit in enumerate(fits) if fit is not None and n != row]
 
     def _overlaps(self, fit: Fit, others: Sequence[FloatArray]) -> bool:
         """Whether a fit lies on another plate. others: poses."""
