@@ -21,7 +21,6 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, RawImage, Timestamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import IMAGES, decoder_for, message_type
 from sonarrec.sonar.frame import Frame
 from sonarrec.sonar.stated import Sonar
@@ -399,11 +398,6 @@ def polar_frames(count: int = 3) -> list[np.ndarray]:
         speckle = cv2.GaussianBlur(rng.normal(0, 1, (BINS, BEAMS)), (0, 0), 1.2)
         images.append(np.clip(90 + 90 * speckle, 1, 255).astype(np.uint8))
     return images
-
-
-def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
-    with open_log(path, **options) as log:
-        return list(log), log.diagnostics.problems, log.diagnostics.notes
 
 
 def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Frame:

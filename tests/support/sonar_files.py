@@ -170,6 +170,12 @@ def oculus_ping(
     return oculus_message(message, body, version)
 
 
+def oculus_file(path: Path, images: list[np.ndarray], **how: Any) -> Path:
+    """Pings one after another. how: of oculus_ping."""
+    path.write_bytes(b"".join(oculus_ping(k, image, **how) for k, image in enumerate(images)))
+    return path
+
+
 def oculus_message(message: int, body: bytes, version: int = 2) -> bytes:
     """A message of the sonar, or to it."""
     return struct.pack("<5HIH", 0x4F53, 7892, 0, message, version, len(body), 0) + body
@@ -249,3 +255,8 @@ def gemini_log(path: Path, records: list[bytes], method: int = zipfile.ZIP_DEFLA
         archive.writestr("log_2024.cfg", "<log><logHeader></logHeader></log>")
         archive.writestr("data_2024.dat", b"".join(records) + b"\xde\xde")
     return path
+
+
+def gemini_file(path: Path, images: list[np.ndarray], **how: Any) -> Path:
+    """A `.glf` of these images. how: of gemini_record."""
+    return gemini_log(path, [gemini_record(k, image, **how) for k, image in enumerate(images)])
