@@ -13,7 +13,7 @@ import zstandard
 
 from sonarrec.readers.containers import mcap as recording
 from sonarrec.sonar.frame import Frame
-from tests.support.hard_logs import HardLog, message, peak_of_reading, record, shapes
+from tests.support.hard_logs import HardLog, message, noise_log, peak_of_reading, record
 from tests.support.logs import PERIOD_NS, cdr_image, frames, read
 from tests.support.slow import but_first
 
@@ -25,19 +25,19 @@ WITHOUT_SECOND = [0, 1, 2, *range(6, 12)]
 """The frames of the other chunks, of three each."""
 
 
-def numbers(found: list[Frame]) -> list[int]:
-    """The frames' numbers, each of which must show its own image at its own time."""
-    for frame in found:
-        np.testing.assert_array_equal(frame.image, IMAGES[frame.index])
-        assert frame.timestamp_ns == frame.index * PERIOD_NS
-    return [frame.index for frame in found]
-
-
 def by_times(found: list[Frame]) -> list[int]:
     """Which frames these are, by their times: their numbers may be too low."""
-    for frame in found:
-        np.testing.assert_array_equal(frame.image, IMAGES[frame.timestamp_ns // PERIOD_NS])
-    return [frame.timestamp_ns // PERIOD_NS for frame in found]
+    places = [frame.timestamp_ns // PERIOD_NS for frame in found]
+    for frame, place in zip(found, places, strict=True):
+        np.testing.assert_array_equal(frame.image, IMAGES[place])
+    return places
+
+
+def numbers(found: list[Frame]) -> list[int]:
+    """The frames' numbers, each of which must show its own image at its own time."""
+    places = by_times(found)
+    assert places == [frame.index for frame in found]
+    return places
 
 
 def four_chunks(path: Path, compression: str = "", **how: bool) -> list[int]:
@@ -105,12 +105,12 @@ def test_damage_costs_its_own_chunk_and_is_told(
     """Where there is an index, the frames after it keep their numbers."""
     path = tmp_path / "log.mcap"
     chunk = four_chunks(path, **how)[1]  # type: ignore[arg-type]
-    assert numbers(read(path)[0]) == ALL
-    assert not read(path)[1]
+    whole = read(path)
+    assert (numbers(whole.frames), whole.problems) == (ALL, [])
     data = bytearray(path.read_bytes())
     change(data, chunk)
     path.write_bytes(data)
-    found, problems = read(path)
+    found, problems, _ = read(path)
     if kept is None:
         assert by_times(found) == WITHOUT_SECOND
     else:
@@ -125,7 +125,7 @@ def test_a_chunk_that_states_a_later_start_than_it_has(tmp_path: Path) -> None:
     with HardLog(path) as log:
         for first in range(0, 12, 3):
             log.chunk(TIMED[first : first + 3], start=10**12 if first == 3 else None)
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert by_times(found) == [*WITHOUT_SECOND, 3, 4, 5]
     assert ["3 frames out" in line for line in problems] == [True]
 
@@ -135,7 +135,7 @@ def test_messages_of_a_channel_that_is_not_defined_are_told(tmp_path: Path) -> N
     with HardLog(path, finished=False) as log:
         log.loose(TIMED[:10])
     path.write_bytes(path.read_bytes() + b"".join(message(*t, channel=7) for t in TIMED[10:]))
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert len(found) == 10
     assert "2 messages" in problems[-1]
 
@@ -148,7 +148,7 @@ def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: P
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, log.positions[0] + 1, 1)  # its length
     path.write_bytes(data)
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert numbers(found) == list(range(6))
     assert "own length" in problems[1] + problems[0]
     assert any("rest cannot" in line for line in problems)
@@ -162,7 +162,7 @@ def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_p
     with HardLog(path) as log:
         log.chunk(TIMED[:6], compression, size=declared)
         log.chunk(TIMED[6:], compression)
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert numbers(found) == [*range(6, 12)]
     assert f"byte {log.positions[0]}" in problems[0]
     assert f" {declared} bytes" in problems[0]
@@ -187,7 +187,7 @@ def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
     frames_read, peak = peak_of_reading(path)
     assert frames_read == 12
     assert peak < 150
-    problems = read(path)[1]
+    problems = read(path).problems
     assert any("does not inflate" in p and "memory" in p for p in problems)  # zstd --long=31
     assert sum("1048576 bytes" in p for p in problems) == 2
 
@@ -197,7 +197,7 @@ def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert numbers(found) == [0, *range(2, 12)]
     assert "message of 622 bytes" in problems[0]
 
@@ -207,7 +207,7 @@ def test_what_follows_the_footer_is_told(tmp_path: Path) -> None:
     four_chunks(path)
     data = path.read_bytes()
     path.write_bytes(data + data)
-    found, problems = read(path)
+    found, problems, _ = read(path)
     assert numbers(found) == ALL
     more = f"{len(data)} bytes follow its end at byte {len(data)} and were not read"
     assert problems == [f"log.mcap: {more}"]
@@ -216,36 +216,24 @@ def test_what_follows_the_footer_is_told(tmp_path: Path) -> None:
 # Memory
 
 
-MB = 2**20
-SMALL = 48 * MB
-
-
 @pytest.fixture(scope="module")
 def least(tmp_path_factory: pytest.TempPathFactory) -> float:
     """What the program itself takes to read a log (MB)."""
     path = tmp_path_factory.mktemp("least") / "log.mcap"
-    with HardLog(path) as log:
-        log.chunk(TIMED)
+    four_chunks(path)
     return peak_of_reading(path)[1]
 
 
 @pytest.mark.parametrize(
-    ("shape", "held"),
-    but_first(
-        [
-            ("12 chunks in turn, zstd", 0),
-            ("one chunk, uncompressed", SMALL),
-            ("10 overlapping chunks, lz4", SMALL),
-        ]
-    ),
+    ("compression", "chunks", "overlap", "held_mb"),
+    but_first([("zstd", 12, False, 0), ("", 1, False, 48), ("lz4", 10, True, 48)]),
 )
 def test_memory_does_not_grow_with_the_log(
-    shape: str, held: int, least: float, tmp_path: Path
+    compression: str, chunks: int, overlap: bool, held_mb: int, least: float, tmp_path: Path
 ) -> None:
     """Held are the chunk that is read and those that overlap it in time, and no other."""
-    path = tmp_path / "log.mcap"
-    write = shapes(path, SMALL)[shape]
-    write()
+    path, size = tmp_path / "log.mcap", 48 * 2**20
+    noise_log(path, size, compression, chunks, overlap)
     frames_read, peak = peak_of_reading(path)
-    assert frames_read >= 0.85 * SMALL / (300 * 512)
-    assert peak - least < 20 + held / MB
+    assert frames_read >= 0.85 * size / (300 * 512)
+    assert peak - least < 20 + held_mb
