@@ -10,16 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
-from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import ImagePaths
 from sonarrec.readers.containers.times_in_names import times_in_names
 from sonarrec.tables import natural_order
-from tests.support.logs import frames, image_folder
+from tests.support.command import sonarrec
+from tests.support.logs import frames, image_folder, read
 
 MOMENT = datetime(2026, 11, 20, 10, 0, 0, 250_000, UTC)
 MOMENT_NS = 1_795_168_800_250_000_000  # by `date --date=2026-11-20T10:00:00.25Z +%s%N`
@@ -109,9 +107,8 @@ def test_times_written_by_strftime_are_read_back(style: str, step_ms: int) -> No
     stems = sorted((m.strftime(style) for m in moments), key=natural_order)
     found = times_in_names(stems)
     assert found is not None
-    expected = [
-        (m - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) for m in moments
-    ]
+    epoch = datetime(1970, 1, 1, tzinfo=UTC)
+    expected = [(m - epoch) // timedelta(microseconds=1) for m in moments]
     assert (found.ns[found.order] // 1000).tolist() == expected
 
 
@@ -148,11 +145,9 @@ def test_a_counter_gives_the_order_where_the_clock_was_set_back() -> None:
 
 
 def test_a_date_that_is_not_read_is_told(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k in range(3):
-        (log / f"frame{k}.png").rename(log / f"20261120_{k:03d}.png")
-    with open_log(log) as opened:
-        assert any("20261120" in note and "not read" in note for note in opened.diagnostics.notes)
+    names = [f"20261120_{k:03d}.png" for k in range(3)]
+    log = image_folder(tmp_path / "log", frames(3, 20, 20), names=names)
+    assert any("20261120" in note and "not read" in note for note in read(log).notes)
 
 
 def ordered(stems: list[str]) -> tuple[bool, str | None]:
@@ -174,22 +169,16 @@ def test_guesses_are_told(form: str) -> None:
 
 
 def test_frames_have_the_times_of_their_names(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k in range(3):
-        (log / f"frame{k}.png").rename(log / f"ping_20261120_10000{k}.25.png")
-    with open_log(log) as opened:
-        times = [frame.timestamp_ns for frame in opened]
-        (note,) = opened.diagnostics.notes
-    assert [time - MOMENT_NS for time in times] == [0, 10**9, 2 * 10**9]
+    names = [f"ping_20261120_10000{k}.25.png" for k in range(3)]
+    log = image_folder(tmp_path / "log", frames(3, 20, 20), names=names)
+    found = read(log)
+    assert [time - MOMENT_NS for time in found.times] == [0, 10**9, 2 * 10**9]
+    (note,) = found.notes
     assert "2026-11-20 10:00:00.250 UTC" in note
-    told = CliRunner().invoke(main, ["info", str(log)]).output
-    assert "  recorded  2026-11-20 10:00:00 UTC, 2.0 s long\n" in told
+    assert "2026-11-20 10:00:00 UTC, 2.0 s long\n" in sonarrec("info", log).output
 
 
 def test_one_note_tells_a_guess(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k, name in enumerate(("left", "right1", "right2")):
-        (log / f"frame{k}.png").rename(log / f"{name}.png")
-    with open_log(log) as opened:
-        (note,) = opened.diagnostics.notes
+    names = ("left.png", "right1.png", "right2.png")
+    (note,) = read(image_folder(tmp_path / "log", frames(3, 20, 20), names=names)).notes
     assert "right2.png" in note

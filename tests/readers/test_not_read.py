@@ -13,13 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from PIL import Image
 
-from sonarrec.errors import SonarrecError
-from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.readers.named_logs import logs_of
-from tests.support.bags import messages, ros1_bag, split_bag
+from tests.support.bags import ros1_bag
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import (
     PERIOD_NS,
@@ -27,7 +24,9 @@ from tests.support.logs import (
     cdr_image,
     frames,
     image_folder,
+    image_mcap,
     mcap_file,
+    read,
     video_file,
 )
 
@@ -106,56 +105,22 @@ def test_a_sonar_of_a_type_that_is_not_read_beside_a_camera(tmp_path: Path) -> N
     assert "/front/scan" not in sonarrec("run", other, "-o", tmp_path / "two_out").stderr
 
 
-def twice(log: Path) -> Path:
-    log.write_bytes(2 * log.read_bytes())
-    return log
-
-
 @pytest.mark.parametrize(
     "make",
     [
         lambda folder: ros1_bag(folder / "log.bag", frames(5)),
         lambda folder: ros1_bag(folder / "log.bag", frames(5), "BZ2"),
-        lambda folder: mcap_file(
-            folder / "log.mcap", [("/s", k, cdr_image(i)) for k, i in enumerate(frames(5))]
-        ),
+        lambda folder: image_mcap(folder / "log.mcap", frames(5)),
     ],
     ids=["bag", "bag, bz2", "mcap"],
 )
 def test_two_recordings_in_one_file(make: Callable[[Path], Path], tmp_path: Path) -> None:
     log = make(tmp_path)
-    with open_log(log) as opened:
-        whole = [frame.index for frame in opened]
-        assert opened.diagnostics.problems == []
-    with open_log(twice(log)) as opened:
-        assert [frame.index for frame in opened] == whole
-        assert len(opened.diagnostics.problems) == 1
-
-
-def test_an_image_of_several(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3))
-    pictures = [Image.fromarray(image).convert("RGB") for image in frames(3)]
-    pictures[0].save(log / "frame1.png", "WEBP", save_all=True, append_images=pictures[1:])
-    with open_log(log) as opened:
-        assert [frame.index for frame in opened] == [0, 2]
-        assert "animated WebP" in opened.diagnostics.problems[0]
-
-
-@pytest.mark.parametrize("kind", [3, 4], ids=["SHORT", "LONG"])
-def test_a_tiff_whose_white_is_zero_is_refused(kind: int, tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", [f.astype(np.uint16) for f in frames(3)], ".tif")
-    path = log / "frame1.tif"
-    rows, columns = frames(1)[0].shape
-    tags = [(256, 4, columns), (257, 4, rows), (258, 3, 16), (259, 3, 1), (262, kind, 0)]
-    tags += [(273, 4, 8), (277, 3, 1), (278, 4, rows), (279, 4, 2 * rows * columns)]
-    body = frames(1)[0].astype("<u2").tobytes()
-    ifd = len(tags).to_bytes(2, "little")
-    for tag, of, value in tags:
-        ifd += b"".join(n.to_bytes(k, "little") for n, k in ((tag, 2), (of, 2), (1, 4), (value, 4)))
-    path.write_bytes(b"II*\0" + (8 + len(body)).to_bytes(4, "little") + body + ifd + bytes(4))
-    with open_log(log) as opened:
-        assert [frame.index for frame in opened] == [0, 2]
-        assert "white as zero" in opened.diagnostics.problems[0]
+    whole = read(log)
+    log.write_bytes(2 * log.read_bytes())
+    doubled = read(log)
+    assert doubled.numbers == whole.numbers
+    assert (len(whole.problems), len(doubled.problems)) == (0, 1)
 
 
 @pytest.mark.parametrize(
@@ -172,9 +137,9 @@ def test_a_pointer_in_place_of_a_log(name: str, tmp_path: Path) -> None:
 def test_a_pointer_in_place_of_an_image_and_of_a_geometry(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(3))
     (log / "frame1.png").write_bytes(LFS)
-    with open_log(log) as opened:
-        assert len(list(opened)) == 2
-        assert "git lfs pull" in opened.diagnostics.problems[0]
+    found, (problem,), _ = read(log)
+    assert len(found) == 2
+    assert "git lfs pull" in problem
     (log / "sonar.toml").write_bytes(LFS)
     assert "git lfs pull" in sonarrec("info", log, code=2).stderr
 
@@ -224,15 +189,6 @@ def test_a_folder_of_macos_and_a_table_of_another_system(tmp_path: Path) -> None
     sonarrec("evaluate", tmp_path / "out", "--ground-truth", tmp_path / "gt.csv")
 
 
-def test_a_bag_whose_metadata_were_lost_is_one_log(tmp_path: Path) -> None:
-    timed = messages(frames(6))
-    split_bag(tmp_path / "bag", [timed[:3], timed[3:]])
-    (tmp_path / "bag" / "metadata.yaml").write_text("{}\n")
-    log = (tmp_path / "bag").rename(tmp_path / "renamed")
-    with open_log(log) as opened:
-        assert len(list(opened)) == 6
-
-
 def arrays(folder: Path, images: list[np.ndarray]) -> Path:
     folder.mkdir(parents=True)
     for k, image in enumerate(images):
@@ -255,18 +211,17 @@ def arrays(folder: Path, images: list[np.ndarray]) -> Path:
 def test_arrays_of_another_kind_are_refused_in_a_line(array: np.ndarray, tmp_path: Path) -> None:
     log = arrays(tmp_path / "log", frames(3))
     np.save(log / "1.npy", array, allow_pickle=True)
-    with open_log(log) as opened:
-        assert [frame.index for frame in opened] == [0, 2]
-        (problem,) = opened.diagnostics.problems
-    assert problem.startswith("1.npy: ")
+    found = read(log)
+    assert found.numbers == [0, 2]
+    assert [line.partition(":")[0] for line in found.problems] == ["1.npy"]
 
 
 def test_many_arrays_beside_one_image_are_the_log(tmp_path: Path) -> None:
     log = arrays(tmp_path / "log", frames(12))
     cv2.imwrite(str(log / "preview.png"), frames(1)[0])
-    with open_log(log) as opened:
-        assert len(list(opened)) == 12
-        assert any("preview.png" in note for note in opened.diagnostics.notes)
+    found, _, notes = read(log)
+    assert len(found) == 12
+    assert any("preview.png" in note for note in notes)
 
 
 def test_most_first_arrays_decide_on_decibels(tmp_path: Path) -> None:
@@ -274,9 +229,7 @@ def test_most_first_arrays_decide_on_decibels(tmp_path: Path) -> None:
     decibels = [20 * np.log10(np.maximum(image, 1) / 255) - 3 for image in frames(4)]
     plain = arrays(tmp_path / "plain", decibels)
     odd = arrays(tmp_path / "odd", [np.full(decibels[0].shape, 0.5), *decibels])
-    with open_log(plain) as one, open_log(odd) as other:
-        images = [[frame.image for frame in log] for log in (one, other)]
-    np.testing.assert_array_equal(images[0], images[1][1:])
+    np.testing.assert_array_equal(read(plain).images, read(odd).images[1:])
 
 
 def test_damaged_arrays_cost_themselves(tmp_path: Path) -> None:
@@ -292,19 +245,17 @@ def test_damaged_arrays_cost_themselves(tmp_path: Path) -> None:
     both = []
     for in_order in (np.ascontiguousarray, np.asfortranarray):
         np.save(log / "8.npy", in_order(frames(12)[8]))
-        with open_log(log) as opened:
-            found = list(opened)
-        assert [frame.index for frame in found] == [0, 8, 9, 10, 11]
-        both.append(found[1].image)
+        found = read(log)
+        assert found.numbers == [0, 8, 9, 10, 11]
+        both.append(found.images)
     np.testing.assert_array_equal(*both)
 
 
 def test_arrays_beside_images_or_logs_are_no_frames(tmp_path: Path) -> None:
     log = image_folder(tmp_path / "log", frames(3))
     np.save(log / "times.npy", np.arange(3))
-    with open_log(log) as opened:
-        assert len(list(opened)) == 3
-        assert opened.diagnostics.problems == []
+    found, problems, _ = read(log)
+    assert (len(found), problems) == (3, [])
     day = tmp_path / "day"
     day.mkdir()
     shutil.copytree(log, day / "dive")
@@ -314,27 +265,21 @@ def test_arrays_beside_images_or_logs_are_no_frames(tmp_path: Path) -> None:
 
 def test_a_log_of_very_many_topics_and_one_of_very_many_faults(tmp_path: Path) -> None:
     images = frames(3)
-    many = mcap_file(
-        tmp_path / "many.mcap",
-        [(f"/t{t}", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images) for t in range(40)],
-        chunk_size=10**6,
-    )
+    timed = [
+        (f"/t{t}", k * PERIOD_NS, cdr_image(i)) for k, i in enumerate(images) for t in range(40)
+    ]
+    many = mcap_file(tmp_path / "many.mcap", timed, chunk_size=10**6)
     assert len(describe(many).images) < 10
     assert [one.topic for one in describe(many, topic="/t39").images] == ["/t39"]
     told = sonarrec("info", many).stdout
     assert "40 image topics" in told
     assert len(told.splitlines()) < 150
-    bad = mcap_file(
-        tmp_path / "bad.mcap",
-        [("/s", k * PERIOD_NS, cdr_image(images[0])) for k in range(60)],
-        chunk_size=500,
-        compression="none",
-    )
-    data = bad.read_bytes().replace(images[0].tobytes(), (images[0] ^ 1).tobytes())
-    bad.write_bytes(data)
+    plain = {"chunk_size": 500, "compression": "none"}
+    bad = image_mcap(tmp_path / "bad.mcap", images[:1] * 60, **plain)
+    bad.write_bytes(bad.read_bytes().replace(images[0].tobytes(), (images[0] ^ 1).tobytes()))
     told = sonarrec("info", bad, code=1).stdout
     assert "57 more" in told
-    assert told.count("fails its checksum") == 3
+    assert told.count("checksum") == 3
 
 
 @pytest.mark.parametrize(
@@ -345,13 +290,3 @@ def test_a_named_pipe_is_not_waited_for(command: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     told = sonarrec(*command.format(log).split(), tmp_path / "pipe", code=1).output
     assert "pipe" in told
-
-
-def test_an_unreadable_image_is_still_one(tmp_path: Path) -> None:
-    (tmp_path / "x.png").write_bytes(b"nothing")
-    with (
-        pytest.raises(SonarrecError, match="unreadable image"),
-        open_log(tmp_path / "x.png", sonar_file=SAMPLE / "sonar.toml") as log,
-    ):
-        list(log)
-    assert cv2.imread(str(tmp_path / "x.png")) is None
