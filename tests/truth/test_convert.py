@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from click.testing import Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -28,24 +27,26 @@ Row = tuple[int, int, float, float, float]
 BBOX = {"category_id": 1, "bbox": [10, 20, 4, 6]}
 
 
-def run(*arguments: str | Path, code: int = 0) -> Result:
-    return sonarrec("truth", "convert", *arguments, code=code)
-
-
-def converted(tmp_path: Path, source: Path, *more: str | Path, code: int = 0) -> list[Row]:
-    (tmp_path / "gt.csv").unlink(missing_ok=True)
-    run(source, "--out", tmp_path / "gt.csv", *more, code=code)
-    numbers = ("x_px", "y_px", "visible")
+def converted(source: Path, *more: str | Path, code: int = 0) -> list[Row]:
+    out = source.with_name("gt.csv")
+    out.unlink(missing_ok=True)
+    sonarrec("truth", "convert", source, "--out", out, *more, code=code)
     return [
-        (int(r["frame"]), int(r["landmark"]), *(float(r[name]) for name in numbers))
-        for r in read_rows(tmp_path / "gt.csv")
+        (
+            int(r["frame"]),
+            int(r["landmark"]),
+            float(r["x_px"]),
+            float(r["y_px"]),
+            float(r["visible"]),
+        )
+        for r in read_rows(out)
     ]
 
 
 def failure(source: Path, *more: str | Path, code: int = 1) -> str:
     """The one line said of a fault; no gt.csv may have been written."""
     out = source.parent / "nothing.csv"
-    done = run(source, "--out", out, *more, code=code)
+    done = sonarrec("truth", "convert", source, "--out", out, *more, code=code)
     assert not out.exists()
     (line,) = done.stderr.splitlines()
     return line
@@ -82,7 +83,7 @@ def test_centres_and_visibility(tmp_path: Path) -> None:
     """Of a box, of a polygon's area wherever its points crowd, of the only labelled keypoint."""
     square = [10, 10, 12, 10, 13, 10, 14, 10, 20, 10, 20, 20, 10, 20]
     annotations = [
-        {"image_id": 7, "category_id": 1, "bbox": [10, 20, 4, 6], "iscrowd": 0},
+        BBOX | {"image_id": 7, "iscrowd": 0},
         {"image_id": 8, "category_id": 1, "bbox": [0, 0, 1, 1], "segmentation": [square]},
         {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "keypoints": [5, 6, 1, 0, 0, 0]},
         {"image_id": 8, "category_id": 2, "bbox": [0, 0, 9, 9], "attributes": {"occluded": True}},
@@ -90,7 +91,7 @@ def test_centres_and_visibility(tmp_path: Path) -> None:
         {"image_id": 7, "category_id": 1, "bbox": [0, 0, 0, 0]},
     ]
     source = coco(tmp_path, annotations, ["a_0.png", "a_5.png"])
-    assert converted(tmp_path, source, "--map", "disc north=4", code=3) == [
+    assert converted(source, "--map", "disc north=4", code=3) == [
         (0, 1, 11.5, 22.5, 1.0),
         (5, 1, 14.5, 14.5, 1.0),
         (5, 4, 4.0, 4.0, 0.5),
@@ -101,7 +102,7 @@ def test_centres_and_visibility(tmp_path: Path) -> None:
 @pytest.mark.parametrize("label", ["3", "ID.3", " Landmark 3 "])
 def test_labels_that_show_their_id(tmp_path: Path, label: str) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], ["0.png"], labels=(label,))
-    assert converted(tmp_path, source)[0][1] == 3
+    assert converted(source)[0][1] == 3
 
 
 @pytest.mark.parametrize("label", ["tyre 1", "ID.1 fake", "ID.7", ""])
@@ -110,8 +111,8 @@ def test_other_labels_need_a_map(tmp_path: Path, label: str) -> None:
     assert "nothing can be used" in failure(source)
     assert repr(label) in failure(source)
     if label:
-        assert converted(tmp_path, source, "--map", f"{label}=none") == []
-        assert converted(tmp_path, source, "--map", f"{label}=2")[0][1] == 2
+        assert converted(source, "--map", f"{label}=none") == []
+        assert converted(source, "--map", f"{label}=2")[0][1] == 2
 
 
 @pytest.mark.parametrize(
@@ -124,13 +125,12 @@ def test_maps_that_cannot_be_meant(tmp_path: Path, given: str, named: str) -> No
 
 def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     """Whatever the numbers in the names say, and with another suffix and folder."""
-    log = image_folder(tmp_path / "log", frames(4, 80, 100))
-    for n, name in enumerate(["b30", "b4", "a99", "c1"]):
-        (log / f"frame{n}.png").rename(log / f"{name}.png")
+    stored = ["b30.png", "b4.png", "a99.png", "c1.png"]
+    log = image_folder(tmp_path / "log", frames(4, 80, 100), names=stored)
     names = ["task/c1.jpg", "task/b4.jpg", "task/elsewhere9.jpg"]
     annotations = [BBOX | {"image_id": 7 + n} for n in range(3)]
     source = coco(tmp_path, annotations, names)
-    found = converted(tmp_path, source, "--log", log, code=3)
+    found = converted(source, "--log", log, code=3)
     assert [row[0] for row in found] == [1, 3]
     other = coco(tmp_path, annotations[:1], ["ping2.png"])
     assert "ping2.png" in failure(other, "--log", log)
@@ -149,10 +149,10 @@ def test_frames_without_a_log(tmp_path: Path, names: list[str], numbers: list[in
     """By the number at the end of every name, else by their order; hashes of tools do not count."""
     boxes = [{"image_id": 7 + n, "category_id": 1, "bbox": [n, 0, 2, 2]} for n in range(3)]
     source = coco(tmp_path, boxes, names)
-    found = {round(row[2] - 0.5): row[0] for row in converted(tmp_path, source)}
+    found = {round(row[2] - 0.5): row[0] for row in converted(source)}
     assert [found[n] for n in range(3)] == numbers
     if names[0] == "ping_10.png":
-        assert {row[0] for row in converted(tmp_path, source, "--first-frame", "7")} == {0, 2, 3}
+        assert {row[0] for row in converted(source, "--first-frame", "7")} == {0, 2, 3}
         failure(source, "--first-frame", "8")
     failure(coco(tmp_path, boxes, ["a_1.png", "b_1.png", "c_2.png"]))
 
@@ -177,7 +177,7 @@ def test_what_is_not_coco_is_one_line(tmp_path: Path, text: str) -> None:
 def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
     source = coco(tmp_path, [BBOX | {"image_id": 7}], ["0.png"])
     (tmp_path / "gt.csv").write_text("mine")
-    run(source, "--out", tmp_path / "gt.csv", code=1)
+    sonarrec("truth", "convert", source, "--out", tmp_path / "gt.csv", code=1)
     assert (tmp_path / "gt.csv").read_text() == "mine"
 
 
@@ -196,11 +196,11 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     y = fan.apex_row - pixels_away * math.cos(edge)
     shapes = [point(a + 0.5, b + 0.5) for a, b in ((279.5, 150.0), (x, y), (x + 60, y))]
     source = coco(tmp_path, shapes, ["frame0.png"], (560, 300))
-    rows = sorted(converted(tmp_path, source, "--log", log), key=lambda row: row[2])
+    rows = sorted(converted(source, "--log", log), key=lambda row: row[2])
     assert [row[4] for row in rows] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
     with (log / "sonar.toml").open("a") as file:
         file.write("flip = true\n")
-    mirrored = sorted(converted(tmp_path, source, "--log", log), reverse=True)
+    mirrored = sorted(converted(source, "--log", log), reverse=True)
     assert sorted(559 - row[2] for row in mirrored) == pytest.approx([row[2] for row in rows])
 
 
@@ -221,6 +221,7 @@ def test_share_inside_a_bearing_edge_is_a_circular_segment(
 
 
 UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
+RANGES_M = tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200))
 
 
 @pytest.mark.parametrize(
@@ -228,10 +229,7 @@ UNEVEN = (-13.0, -8, -5, -3, -1, 0, 1, 2, 4, 7, 10, 14)
     [
         {},
         {"flip": True},
-        {
-            "bearings_deg": UNEVEN[::-1],
-            "ranges_m": tuple(1.25 + 2.5 * ((n + 0.5) / 200) ** 1.3 for n in range(200)),
-        },
+        {"bearings_deg": UNEVEN[::-1], "ranges_m": RANGES_M},
         {"range_order": "far_first", "beam_order": "beam-major"},
     ],
 )
@@ -241,8 +239,7 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
     beams = len(keys.get("bearings_deg", range(96)))
     sonar = Sonar("polar", 1.25, 3.75, 28.8, 20.0, 0.68, **keys)
     text = "\n".join(f"{k} = {json.dumps(v)}" for k, v in sonar.as_table().items())
-    log = tmp_path / "log"
-    log.mkdir()
+    log = image_folder(tmp_path / "log", [])
     (log / "sonar.toml").write_text(f"[sonar]\n{text}\n")
     turned = "beam_order" in keys
     for column, row in ((beams // 3, 120), (beams // 2, 50)):
@@ -252,7 +249,7 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         polar = np.zeros((200, beams), np.uint8)
         polar[row, column] = 255
         cv2.imwrite(str(log / "0.png"), polar.T if turned else polar)
-        ((_, _, x, y, _),) = converted(tmp_path, source, "--log", log)
+        ((_, _, x, y, _),) = converted(source, "--log", log)
         with open_log(log) as opened:
             frame = next(iter(opened))
         # The brightest fan pixels: between uneven beams the spot is not symmetric about its peak.
@@ -260,8 +257,8 @@ def test_shapes_on_polar_images_are_moved_to_the_fan(tmp_path: Path, keys: dict[
         rows, columns = np.nonzero(fan > 0.9 * fan.max())
         assert (columns.mean(), rows.mean()) == pytest.approx((x, y), abs=1.0)
     if set(keys) <= {"flip"}:
-        ((_, _, x, y, _),) = converted(tmp_path, coco(tmp_path, [point(-3, 120)], ["0.png"],
-                                                      (96, 200)), "--log", log)  # fmt: skip
+        source = coco(tmp_path, [point(-3, 120)], ["0.png"], (96, 200))
+        ((_, _, x, y, _),) = converted(source, "--log", log)
         found = polar_from_pixel(frame.fan, np.array([x]), np.array([y]))
         bearing = (1 if keys else -1) * 51 * 0.3
         assert np.ravel(found) == pytest.approx((1.25 + 120 * 0.0125, bearing), abs=0.02)
