@@ -13,11 +13,10 @@ import pytest
 
 from sonarrec.drawing.pen import disc_outline, landmark_colours
 from sonarrec.overlays.overlay import overlay
-from sonarrec.readers import open_log
 from sonarrec.sonar.stated import Sonar, load_sonar
 from tests.support.estimates import BASIN, csv_file, moving, noise, write_results
 from tests.support.foxglove import messages, nanoseconds
-from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, image_folder, mcap_file
+from tests.support.logs import PERIOD_NS, SONAR_TOML, cdr_image, image_folder, mcap_file, read
 
 STAMP_NS = 1_700_000_000_123_456_789
 
@@ -52,17 +51,15 @@ def test_annotations_lie_on_the_object(tmp_path: Path) -> None:
         for part in (found[3]["points"][k] for k in (0, 1, 2, 4))
     )
     # Foxglove's origin is the corner of the first pixel: half a pixel from its centre.
-    with open_log(log) as opened:
-        fan = next(iter(opened)).fan
+    fan = read(log).frames[0].fan
     np.testing.assert_allclose(named, disc_outline(fan, 0.15, 43.0, 60.0) + 0.5, atol=0.006)
     np.testing.assert_allclose(other.mean(axis=0), (70.5, 90.5), atol=1)
     np.testing.assert_allclose(trail, [[40.5, 60.5], [41.5, 60.5], [43.5, 60.5]])
     np.testing.assert_allclose(dashes.mean(axis=0), named.mean(axis=0), atol=0.2)
     kinds = [part["type"] for part in found[3]["points"]]
     assert kinds == [2, 3, 2, 3, 4]
-    colour = [round(255 * named_colour) for named_colour in
-              (found[3]["points"][0]["outline_color"][c] for c in "rgb")]  # fmt: skip
-    assert tuple(colour) == landmark_colours(BASIN.ids)[3]
+    colour = found[3]["points"][0]["outline_color"]
+    assert tuple(round(255 * colour[c]) for c in "rgb") == landmark_colours(BASIN.ids)[3]
     assert [t["text"] for t in found[3]["texts"]] == ["frame 3", "ID.3  0.90", "ID.3"]
     assert [t["text"] for t in found[2]["texts"]] == ["frame 2"]
 
@@ -80,15 +77,12 @@ def pictures(path: Path) -> list[tuple[int, int, np.ndarray]]:
 
 def test_polar_logs_bring_their_fan(tmp_path: Path) -> None:
     """As one MCAP for Foxglove that is itself a log of equal frames."""
-    recorded = [
-        ("/a", n * PERIOD_NS, cdr_image(image, stamp=(n, 5)))
-        for n, image in enumerate(noise(4, (100, 32)))
-    ]
+    images = enumerate(noise(4, (100, 32)))
+    recorded = [("/a", n * PERIOD_NS, cdr_image(image, stamp=(n, 5))) for n, image in images]
     log = mcap_file(tmp_path / "log.mcap", recorded)
     (tmp_path / "sonar.toml").write_text(SONAR_TOML.replace('"fan"', '"polar"'))
     overlay(log, tmp_path / "o.mcap", results=write_results(tmp_path / "results", moving(4)))
-    with open_log(log) as opened:
-        frames = list(opened)
+    frames = read(log).frames
     shown = pictures(tmp_path / "o.mcap")
     for n, (frame, (time, stamp, image)) in enumerate(zip(frames, shown, strict=True)):
         assert (time, stamp) == (n * PERIOD_NS, n * 10**9 + 5)
@@ -97,10 +91,9 @@ def test_polar_logs_bring_their_fan(tmp_path: Path) -> None:
     apex = fan.apex_column, fan.apex_row
     stated = Sonar(layout="fan", metres_per_pixel=fan.metres_per_pixel, apex_px=apex)
     stated = load_sonar(tmp_path / "sonar.toml").updated(stated)
-    with open_log(tmp_path / "o.mcap", sonar=stated) as opened:
-        for again, frame in zip(opened, frames, strict=True):
-            assert again.fan == fan
-            np.testing.assert_array_equal(again.image, frame.image)
+    again = read(tmp_path / "o.mcap", sonar=stated)
+    assert all(frame.fan == fan for frame in again.frames)
+    np.testing.assert_array_equal(again.images, [frame.image for frame in frames])
 
 
 def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
@@ -120,8 +113,8 @@ def test_the_log_is_read_as_the_run_read_it(tmp_path: Path) -> None:
     for (_, _, shown), image in zip(pictures(o), noise(3), strict=True):
         np.testing.assert_array_equal(shown, image[:, ::-1] + 100)
     other = overlay(log, tmp_path / "a.mcap", results=results, topic="/a")
-    assert len(other.diagnostics.notes) == 1
-    assert f"{results}: results" in other.diagnostics.notes[0]
+    (note,) = other.diagnostics.notes
+    assert str(results) in note
 
 
 def test_video_and_images(tmp_path: Path) -> None:
