@@ -1,4 +1,4 @@
-"""MCAP files as the field sends them: odd, cut, damaged, hostile."""
+"""MCAP files as the field sends them: odd, cut, damaged, unindexed, overlapping, giant or lying."""
 
 from __future__ import annotations
 
@@ -6,16 +6,23 @@ import base64
 import json
 import random
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 
 from sonarrec.errors import SonarrecError, UsageError
+from sonarrec.readers.containers import mcap as recording
 from sonarrec.readers.messages.types import decoder_for
 from sonarrec.readers.raw import UnusableError
+from sonarrec.sonar.frame import Frame
+from tests.support.hard_logs import HardLog, message, noise_log, peak_of_reading, record
 from tests.support.logs import PERIOD_NS, cdr_image, frames, image_mcap, mcap_file, read
+from tests.support.slow import but_first
 
 IMAGE = frames(1)[0]
 
@@ -141,3 +148,228 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
     expected = sorted(order, key=lambda k: (times[k], order.index(k)))
     assert found.times == [times[k] for k in expected]
     np.testing.assert_array_equal(found.images, [images[k] for k in expected])
+
+
+# Cut, damaged and hostile files
+
+
+IMAGES = frames(12, 20, 20)
+TIMED = [(k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
+HEAD = 9 + 22  # of a record, of a message
+ALL = list(range(12))
+WITHOUT_SECOND = [0, 1, 2, *range(6, 12)]
+"""The frames of the other chunks, of three each."""
+
+
+def by_times(found: list[Frame]) -> list[int]:
+    """Which frames these are, by their times: their numbers may be too low."""
+    places = [frame.timestamp_ns // PERIOD_NS for frame in found]
+    for frame, place in zip(found, places, strict=True):
+        np.testing.assert_array_equal(frame.image, IMAGES[place])
+    return places
+
+
+def numbers(found: list[Frame]) -> list[int]:
+    """The frames' numbers, each of which must show its own image at its own time."""
+    places = by_times(found)
+    assert places == [frame.index for frame in found]
+    return places
+
+
+def four_chunks(path: Path, compression: str = "", **how: bool) -> list[int]:
+    """Twelve frames in four chunks, and where these begin."""
+    with HardLog(path) as log:
+        for first in range(0, 12, 3):
+            log.chunk(TIMED[first : first + 3], compression, **how)
+    return log.positions
+
+
+# Damage to the second of four chunks
+
+Change = Callable[[bytearray, int], None]
+
+
+def flip(data: bytearray, at: int) -> None:
+    data[at] ^= 0x10
+
+
+def record_of(number: int, data: bytearray) -> int:
+    """Where the record of a message begins."""
+    return data.index(TIMED[number][1]) - HEAD
+
+
+def a_byte(data: bytearray, chunk: int) -> None:
+    flip(data, chunk + 150)
+
+
+def length_of_record(value: int) -> Change:
+    return lambda data, _: struct.pack_into("<Q", data, record_of(4, data) + 1, value)
+
+
+def length_of_chunk(value: int) -> Change:
+    return lambda data, chunk: struct.pack_into("<Q", data, chunk + 1, value)
+
+
+LOST = "; its 3 frames are lost"
+UNCOUNTED = "in all, 3 of 12 frames are lost"
+GOES_ON = "; reading continues at byte "
+CASES = {
+    "checksum": ({}, a_byte, WITHOUT_SECOND, ["fails its checksum" + LOST]),
+    "checksum, lz4": ({"compression": "lz4"}, a_byte, WITHOUT_SECOND, [LOST]),
+    "zstd, no index": ({"compression": "zstd", "indexed": False}, a_byte, None, [UNCOUNTED]),
+    "record of no length": ({"crc": False}, length_of_record(0), WITHOUT_SECOND, [LOST]),
+    "record beyond all": (
+        *({"crc": False}, length_of_record(2**40), WITHOUT_SECOND),
+        ["is damaged at byte ", "(`mcap recover` may save some)" + LOST],
+    ),
+    "record beyond all, no index": (
+        *({"crc": False, "indexed": False}, length_of_record(2**40), None),
+        ["is damaged at byte ", "`mcap recover`", UNCOUNTED],
+    ),
+    "chunk of 1": (
+        *({"compression": "zstd"}, length_of_chunk(1), None),
+        [GOES_ON, "contradicts its own length", UNCOUNTED],
+    ),
+    "chunk beyond all": ({"compression": "zstd"}, length_of_chunk(2**64 - 1), ALL, [GOES_ON]),
+}
+
+
+@pytest.mark.parametrize(("how", "change", "kept", "told"), CASES.values(), ids=CASES)
+def test_damage_costs_its_own_chunk_and_is_told(
+    how: dict[str, bool], change: Change, kept: list[int] | None, told: list[str], tmp_path: Path
+) -> None:
+    """Where there is an index, the frames after it keep their numbers."""
+    path = tmp_path / "log.mcap"
+    chunk = four_chunks(path, **how)[1]  # type: ignore[arg-type]
+    whole = read(path)
+    assert (numbers(whole.frames), whole.problems) == (ALL, [])
+    data = bytearray(path.read_bytes())
+    change(data, chunk)
+    path.write_bytes(data)
+    found, problems, _ = read(path)
+    if kept is None:
+        assert by_times(found) == WITHOUT_SECOND
+    else:
+        assert numbers(found) == kept
+    assert f"byte {chunk} " in problems[0] or GOES_ON in problems[0]
+    for text in told:
+        assert any(text in line for line in problems), text
+
+
+def test_a_chunk_that_states_a_later_start_than_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        for first in range(0, 12, 3):
+            log.chunk(TIMED[first : first + 3], start=10**12 if first == 3 else None)
+    found, problems, _ = read(path)
+    assert by_times(found) == [*WITHOUT_SECOND, 3, 4, 5]
+    assert ["3 frames out" in line for line in problems] == [True]
+
+
+def test_messages_of_a_channel_that_is_not_defined_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path, finished=False) as log:
+        log.loose(TIMED[:10])
+    path.write_bytes(path.read_bytes() + b"".join(message(*t, channel=7) for t in TIMED[10:]))
+    found, problems, _ = read(path)
+    assert len(found) == 10
+    assert "2 messages" in problems[-1]
+
+
+def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path, finished=False) as log:
+        log.loose(TIMED[:6])
+        log.chunk(TIMED[6:])
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, log.positions[0] + 1, 1)  # its length
+    path.write_bytes(data)
+    found, problems, _ = read(path)
+    assert numbers(found) == list(range(6))
+    assert "own length" in problems[1] + problems[0]
+    assert any("rest cannot" in line for line in problems)
+
+
+@pytest.mark.parametrize(
+    ("compression", "declared"), [("", 0), ("lz4", 100), ("zstd", 100), ("zstd", 2**31 + 1)]
+)
+def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        log.chunk(TIMED[:6], compression, size=declared)
+        log.chunk(TIMED[6:], compression)
+    found, problems, _ = read(path)
+    assert numbers(found) == [*range(6, 12)]
+    assert f"byte {log.positions[0]}" in problems[0]
+    assert f" {declared} bytes" in problems[0]
+
+
+def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
+    bombs = {
+        "zstd": zstandard.compress(bytes(2**28)),
+        "lz4": lz4.frame.compress(bytes(2**28), block_size=lz4.frame.BLOCKSIZE_MAX4MB),
+    }
+    wide = zstandard.ZstdCompressionParameters(window_log=30, enable_ldm=True)
+    compressor = zstandard.ZstdCompressor(compression_params=wide).compressobj()
+    window = compressor.compress(bytes(1000)) + compressor.flush()
+    path = tmp_path / "log.mcap"
+    with HardLog(path, finished=False) as log:
+        log.chunk(TIMED)
+    data = path.read_bytes()
+    for name, bomb in [*bombs.items(), ("zstd", window)]:
+        head = struct.pack("<QQQII", 0, 0, 2**20, 0, len(name)) + name.encode()
+        data += record(0x06, head + struct.pack("<Q", len(bomb)) + bomb)
+    path.write_bytes(data)
+    frames_read, peak = peak_of_reading(path)
+    assert frames_read == 12
+    assert peak < 150
+    problems = read(path).problems
+    assert any("does not inflate" in p and "memory" in p for p in problems)  # zstd --long=31
+    assert sum("1048576 bytes" in p for p in problems) == 2
+
+
+def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "MAX_FRAME_BYTES", 500)
+    path = tmp_path / "log.mcap"
+    with HardLog(path) as log:
+        log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])
+    found, problems, _ = read(path)
+    assert numbers(found) == [0, *range(2, 12)]
+    assert "message of 622 bytes" in problems[0]
+
+
+def test_what_follows_the_footer_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    four_chunks(path)
+    data = path.read_bytes()
+    path.write_bytes(data + data)
+    found, problems, _ = read(path)
+    assert numbers(found) == ALL
+    more = f"{len(data)} bytes follow its end at byte {len(data)} and were not read"
+    assert problems == [f"log.mcap: {more}"]
+
+
+# Memory
+
+
+@pytest.fixture(scope="module")
+def least(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """What the program itself takes to read a log (MB)."""
+    path = tmp_path_factory.mktemp("least") / "log.mcap"
+    four_chunks(path)
+    return peak_of_reading(path)[1]
+
+
+@pytest.mark.parametrize(
+    ("compression", "chunks", "overlap", "held_mb"),
+    but_first([("zstd", 12, False, 0), ("", 1, False, 48), ("lz4", 10, True, 48)]),
+)
+def test_memory_does_not_grow_with_the_log(
+    compression: str, chunks: int, overlap: bool, held_mb: int, least: float, tmp_path: Path
+) -> None:
+    """Held are the chunk that is read and those that overlap it in time, and no other."""
+    path, size = tmp_path / "log.mcap", 48 * 2**20
+    noise_log(path, size, compression, chunks, overlap)
+    frames_read, peak = peak_of_reading(path)
+    assert frames_read >= 0.85 * size / (300 * 512)
+    assert peak - least < 20 + held_mb
