@@ -6,7 +6,8 @@ import base64
 import json
 import random
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -39,30 +40,28 @@ def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:
 BGR = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint8)
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "16UC1", "32FC1", "64FC1"])
-@pytest.mark.parametrize("big", [0, 1])
-def test_deeper_pixels(encoding: str, big: int, tmp_path: Path) -> None:
-    kind = {"32FC1": "f4", "64FC1": "f8"}.get(encoding, "u2")
-    values = (IMAGE.astype(float) * (257 if kind == "u2" else 1 / 255)).astype(">" + kind)
-    message = cdr_image(values if big else values.astype("<" + kind), encoding, is_bigendian=big)
-    np.testing.assert_array_equal(one(tmp_path, message), IMAGE)
+def image_messages() -> Iterator[tuple[bytes, np.ndarray]]:
+    """Messages, and the image that each shows."""
+    for encoding, big in product(("mono16", "16UC1", "32FC1", "64FC1"), (0, 1)):
+        kind = {"32FC1": "f4", "64FC1": "f8"}.get(encoding, "u2")
+        values = IMAGE.astype(float) * (257 if kind == "u2" else 1 / 255)
+        stored = values.astype("<>"[big] + kind)
+        yield cdr_image(stored, encoding, is_bigendian=big), IMAGE
+    for encoding in ("bgr8", "8UC3", "rgb8", "bgra8", "8UC4", "rgba8"):
+        colour = BGR[:, :, ::-1] if encoding.startswith("rgb") else BGR
+        if encoding in ("bgra8", "rgba8", "8UC4"):
+            colour = np.dstack([colour, np.full(IMAGE.shape, 7, np.uint8)])
+        message = cdr_image(np.ascontiguousarray(colour), encoding, padding=5)
+        yield message, cv2.cvtColor(BGR, cv2.COLOR_BGR2GRAY)
+    for padding in (0, 1, 26):
+        yield cdr_image(IMAGE, padding=padding), IMAGE
+    for step in (0, 37, 39, 2**32 - 1):  # a wrong one
+        yield cdr_image(IMAGE, step=step), IMAGE
 
 
-@pytest.mark.parametrize("encoding", ["bgr8", "8UC3", "rgb8", "bgra8", "8UC4", "rgba8"])
-def test_colour(encoding: str, tmp_path: Path) -> None:
-    colour = BGR[:, :, ::-1] if encoding.startswith("rgb") else BGR
-    if encoding in ("bgra8", "rgba8", "8UC4"):
-        colour = np.dstack([colour, np.full(IMAGE.shape, 7, np.uint8)])
-    message = cdr_image(np.ascontiguousarray(colour), encoding, padding=5)
-    expected = cv2.cvtColor(BGR, cv2.COLOR_BGR2GRAY)
-    np.testing.assert_array_equal(one(tmp_path, message), expected)
-
-
-@pytest.mark.parametrize(
-    "rows", [*({"padding": n} for n in (0, 1, 26)), *({"step": n} for n in (0, 37, 39, 2**32 - 1))]
-)
-def test_rows_with_padding_and_with_a_wrong_step(rows: dict[str, int], tmp_path: Path) -> None:
-    np.testing.assert_array_equal(one(tmp_path, cdr_image(IMAGE, **rows)), IMAGE)  # type: ignore[arg-type]
+@pytest.mark.parametrize(("message", "image"), [*image_messages()])
+def test_pixels_of_every_encoding(message: bytes, image: np.ndarray, tmp_path: Path) -> None:
+    np.testing.assert_array_equal(one(tmp_path, message), image)
 
 
 def test_unusable_messages_are_skipped(tmp_path: Path) -> None:
