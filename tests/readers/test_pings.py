@@ -22,19 +22,7 @@ from sonarrec.sonar.stated import Sonar
 from tests.support import messages
 from tests.support.command import sonarrec
 from tests.support.logs import PERIOD_NS, Read, frames, image_folder, mcap_file, read
-from tests.support.messages import (
-    BEAMS,
-    BEARINGS_DEG,
-    BIN_M,
-    BINS,
-    FIRST_BIN,
-    OCULUS,
-    TILT,
-    log_of,
-    polar_frames,
-    serialised,
-    stamp_ns,
-)
+from tests.support.messages import BEAMS, BIN_M, BINS, TILT, log_of, polar_frames, stamp_ns
 from tests.support.rows import read_rows
 
 
@@ -115,7 +103,7 @@ def test_an_odd_first_ping_does_not_settle_the_window(tmp_path: Path) -> None:
         found = read_pings(tmp_path, pings)
         assert found.numbers == kept
         assert len(found.problems) == 4 - len(kept)
-        assert found.frames[0].fan.range_max_m == pytest.approx((FIRST_BIN + BINS) * BIN_M)
+        assert found.frames[0].fan.range_max_m == pytest.approx((messages.FIRST_BIN + BINS) * BIN_M)
 
 
 def test_what_is_stated_does_not_fit_the_log(tmp_path: Path) -> None:
@@ -135,7 +123,7 @@ def test_the_number_of_even_bins_may_change(tmp_path: Path) -> None:
         grey = cv2.resize(image, (BEAMS, bins), interpolation=cv2.INTER_NEAREST)
         fields = messages.oculus_interfaces_fields(len(pings), grey)
         pings.append(fields | {"range_resolution": BIN_M * 64 / bins})
-    found = read(log_of(tmp_path / "log.mcap", pings, OCULUS), sonar=TILT)
+    found = read(log_of(tmp_path / "log.mcap", pings, messages.OCULUS), sonar=TILT)
     assert not found.problems
     far = 64 * BIN_M
     for frame in found.frames:
@@ -237,7 +225,7 @@ def test_flip_mirrors_the_bearings(uneven: bool, tmp_path: Path) -> None:
     """What lay at bearing b lies at -b, also where bearings are neither even nor symmetric."""
     sonar = Sonar(range_min_m=1.0, range_max_m=1.9, field_of_view_deg=28.0, tilt_deg=20.0)
     if uneven:
-        sonar = sonar.updated(Sonar(bearings_deg=tuple((BEARINGS_DEG + 2).tolist())))
+        sonar = sonar.updated(Sonar(bearings_deg=tuple((messages.BEARINGS_DEG + 2).tolist())))
     spot = np.zeros((BINS, BEAMS), np.uint8)
     spot[28:33, 17:21] = 255
     centres = []
@@ -263,7 +251,11 @@ def test_the_time_that_names_a_frame(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     images = polar_frames(4)
     pings = [
-        ("/a", k * PERIOD_NS, serialised("sensor_msgs/msg/Image", messages.image_fields(3 - k, i)))
+        (
+            "/a",
+            k * PERIOD_NS,
+            messages.serialised("sensor_msgs/msg/Image", messages.image_fields(3 - k, i)),
+        )
         for k, i in enumerate(images)
     ]
     mcap_file(path, pings)
