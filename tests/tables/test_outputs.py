@@ -68,6 +68,8 @@ def files_of_at_most(size: int) -> Iterator[None]:
 
 
 TABLES = "sonarrec_out/log"
+EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv"
+COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
 REFUSED = [
     f"report {TABLES} -o gt.csv",
     f"report {TABLES} --log log -o other.html",
@@ -83,8 +85,12 @@ REFUSED = [
     "info log --write-sonar log/sonar.toml",
     "landmarks -o others/000000.png",
     "simulate --frames 2 --scene basin -o mine.mcap",
-    f"evaluate {TABLES} --ground-truth gt.csv -o others",
-    f"evaluate {TABLES} --ground-truth gt.csv -o log",
+    f"{EVALUATE} -o others",
+    f"{EVALUATE} -o log",
+    f"{EVALUATE} -o mine_1",  # where one file is not ours
+    f"{EVALUATE} -o mine_2",
+    f"evaluate {COMPARE} -o mine_3",
+    f"map {TABLES} -o mine_4",
     f"map {TABLES} -o log",
     "run log -o .",
     "run log -o log",
@@ -102,9 +108,10 @@ REFUSED = [
 @pytest.mark.parametrize("line", REFUSED)
 def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     os.link("pan.mcap", "link.mcap")
-    for folder in ("others/pan", "dives/pan"):
+    for folder in ("others/pan", "dives/pan", *(f"mine_{n}" for n in (1, 2, 3, 4))):
         (work / folder).mkdir(parents=True)
-    cv2.imwrite("others/000000.png", np.zeros((8, 8), np.uint8))
+    for picture in ("others/000000.png", "mine_2/roc.png"):
+        cv2.imwrite(picture, np.zeros((8, 8), np.uint8))
     for name, text in (
         ("coco.json", '{"images": [], "categories": [], "annotations": []}'),
         ("others/passes.csv", "name,weight\n"),
@@ -114,6 +121,9 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
         ("other.mp4", "\0\0\0\x18ftypmp42 and more"),
         ("mine.gt.csv", "frame,landmark\n"),
         ("mine.json", '{"mine": 1}'),
+        ("mine_1/evaluation.json", '{"features": []}'),
+        ("mine_3/compare.csv", '{"features": []}'),
+        ("mine_4/map.geojson", '{"type": "FeatureCollection", "features": []}'),
     ):
         (work / name).write_text(text)
     shutil.copytree("log", "dives/log")
@@ -125,34 +135,6 @@ def test_nothing_else_is_written_over(work: Path, line: str) -> None:
     [told] = done.stderr.splitlines()
     reasons = "exist|reads it|become a part|not written here|holds frames.csv|log itself|may be a"
     assert re.search(reasons, told)
-    assert contents(work) == before
-
-
-EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv"
-COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
-
-
-@pytest.mark.parametrize(
-    ("line", "name"),
-    [
-        (EVALUATE, "evaluation.json"),
-        (EVALUATE, "roc.png"),
-        (f"evaluate {COMPARE}", "compare.csv"),
-        (f"map {TABLES}", "map.geojson"),
-    ],
-)
-def test_one_foreign_file_and_nothing_is_written(work: Path, line: str, name: str) -> None:
-    mine = work / "mine"
-    mine.mkdir()
-    if name.endswith(".png"):
-        cv2.imwrite(str(mine / name), np.zeros((8, 8), np.uint8))
-    else:
-        (mine / name).write_text('{"type": "FeatureCollection", "features": []}')
-    before = contents(work)
-    done = sonarrec(f"{line} -o mine")
-    assert done.exit_code == 2
-    [told] = done.stderr.splitlines()
-    assert f"mine/{name}: exists" in told
     assert contents(work) == before
 
 
