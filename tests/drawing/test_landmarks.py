@@ -25,7 +25,6 @@ def ids(*sectors: tuple[int, ...]) -> dict[str, Any]:
 
 
 def test_as_drawn_it_is_the_share_of_the_sectors() -> None:
-    """Against the definition, over every rotation by whole sectors."""
     rows = [(1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 1, 1, 0), (1, 0, 1, 0, 1, 0)]
     found = distances(landmarks_from_table(ids(*rows), "here"), 0.0)
     assert len(found) == 6

@@ -80,7 +80,6 @@ def test_a_list_of_frames() -> None:
 
 
 def test_results_find_their_log(work: Path) -> None:
-    """By run.toml, also of all that a folder holds."""
     results = work / "sonarrec_out" / "log"
     assert "not found" in draw(results, "-o", "x", code=2).stderr
     set_run("[input]", '[input]\npath = "log"')

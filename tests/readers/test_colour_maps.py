@@ -99,7 +99,6 @@ BLUES = [(255, 100, 100), (255, 80, 180), (200, 60, 140)]
 
 @pytest.mark.parametrize("table", ["afmhot", "Blues_r", "winter", "gist_ncar", *BLUES])
 def test_ramps_and_other_maps_are_none_of_ours(table: str | tuple[int, int, int]) -> None:
-    """Also in a JPEG."""
     if isinstance(table, str):
         ramp = np.round(255 * mpl.colormaps[table](np.arange(256))[:, 2::-1]).astype(np.uint8)
     else:
@@ -132,7 +131,6 @@ def make_log(folder: Path, draw: Callable[[int, np.ndarray], np.ndarray]) -> Pat
 
 @pytest.mark.parametrize("in_grey", [0, 4])
 def test_a_log_in_jet_is_told_and_read_as_its_grey_one(in_grey: int, tmp_path: Path) -> None:
-    """Also where it begins in grey."""
 
     def draw(k: int, grey: np.ndarray) -> np.ndarray:
         whole = cv2.applyColorMap(grey, cv2.COLORMAP_JET)

@@ -89,7 +89,6 @@ def test_black_images_tell_nothing() -> None:
 
 @pytest.mark.parametrize("name", but_first(["polar", "pan"]))
 def test_a_log_without_its_height(name: str, tmp_path: Path) -> None:
-    """Every frame has the height, run.toml too, and a run by it gives the same again."""
     log = tmp_path / name
     shutil.copytree(SAMPLES / name, log)
     text = (log / "sonar.toml").read_text()

@@ -36,7 +36,6 @@ def read(folder: Path, records: list[bytes]) -> logs.Read:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
-    """The fan images of IMAGES."""
     return read(tmp_path_factory.mktemp("whole"), RECORDS).images
 
 

@@ -50,7 +50,6 @@ def text(path: Path, *arguments: str, code: int = 0) -> str:
 
 
 def test_several_logs_are_a_row_each(tmp_path: Path) -> None:
-    """What is cut, lacks its geometry or cannot be read is marked in its row."""
     logs = [mcap_file(tmp_path / name / f"{name}.mcap", MESSAGES) for name in ("good", "cut")]
     logs.append(without_geometry(mcap_file(tmp_path / "bare" / "bare.mcap", MESSAGES)))
     data = logs[1].read_bytes()
@@ -130,7 +129,6 @@ def test_quick_does_not_see_what_only_reading_shows(tmp_path: Path) -> None:
 
 
 def test_what_info_counts_is_what_run_uses(tmp_path: Path) -> None:
-    """Cut, with an odd frame and a broken one."""
     messages = list(MESSAGES)
     messages[3] = ("/a", messages[3][1], cdr_image(IMAGES[3][:-2]))
     messages[5] = ("/a", messages[5][1], b"\0\1\0\0")
@@ -255,7 +253,6 @@ def test_of_a_long_folder_a_sample_is_decoded_and_damage_at_either_end_is_named(
 
 
 def test_frames_unlike_the_first_are_all_named(tmp_path: Path) -> None:
-    """Though they are the most, and whole."""
     folder = image_folder(tmp_path / "log", frames(300, 30, 24))
     for n in range(5, 300):
         assert cv2.imwrite(str(folder / f"frame{n}.png"), np.full((31, 25), n % 250, np.uint8))

@@ -41,7 +41,6 @@ BGR = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint
 
 
 def image_messages() -> Iterator[tuple[bytes, np.ndarray]]:
-    """Messages, and the image that each shows."""
     for encoding, big in product(("mono16", "16UC1", "32FC1", "64FC1"), (0, 1)):
         kind = {"32FC1": "f4", "64FC1": "f8"}.get(encoding, "u2")
         values = IMAGE.astype(float) * (257 if kind == "u2" else 1 / 255)
@@ -193,7 +192,6 @@ def flip(data: bytearray, at: int) -> None:
 
 
 def record_of(number: int, data: bytearray) -> int:
-    """Where the record of a message begins."""
     return data.index(TIMED[number][1]) - HEAD
 
 

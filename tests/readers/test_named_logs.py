@@ -22,7 +22,6 @@ IMAGES = frames(3)
 
 
 def recording(path: Path) -> Path:
-    """An MCAP without a geometry beside it."""
     image_mcap(path, IMAGES)
     (path.parent / "sonar.toml").unlink()
     return path
@@ -30,7 +29,6 @@ def recording(path: Path) -> Path:
 
 @pytest.fixture
 def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Logs of all kinds in folders."""
     monkeypatch.chdir(tmp_path)
     top = Path("campaign")
     for name in ("dive10.mcap", "dive2.mcap", "day1/a.mcap", "day2/a.mcap"):

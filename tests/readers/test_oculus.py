@@ -39,7 +39,6 @@ def header_of(path: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
-    """The fan images of IMAGES."""
     return read(tmp_path_factory.mktemp("whole") / "whole.raw", b"".join(PINGS)).images
 
 

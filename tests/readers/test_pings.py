@@ -165,7 +165,6 @@ def beam_major(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_beam_order(tmp_path: Path) -> None:
-    """Found from the first ping, or stated."""
     pings = projected()
     expected = read_pings(tmp_path, pings).images
     other = log_of(tmp_path / "other.mcap", [beam_major(fields) for fields in pings])

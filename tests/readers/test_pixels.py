@@ -254,7 +254,6 @@ def test_what_a_pgm_calls_white_is_white(tmp_path: Path, maxval: int, sample: st
     [("JPEG", "L"), *((kind, mode) for kind in ("PNG", "TIFF") for mode in ("L", "RGBA", "I;16"))],
 )
 def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
-    """By all eight EXIF orientations, as Pillow does."""
     grey = np.zeros((24, 40), np.uint8)
     grey[:8], grey[8:16, :8] = 120, 250  # looks otherwise in each of the eight
     picture = Image.fromarray(grey.astype(np.uint16) * 257 if mode == "I;16" else grey)

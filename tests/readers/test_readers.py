@@ -63,7 +63,6 @@ def as_bag(storage: str, compressed: str | None = None) -> Maker:
 
 
 def as_parts(storage: str, compressed: str | None = None, told: bool = True) -> Maker:
-    """A bag of three parts."""
 
     def make(path: Path, images: list[np.ndarray]) -> Path:
         timed = messages(images)

@@ -30,7 +30,6 @@ LE = b"\x00\x01\x00\x00"
 
 
 def decoded(text: str, body: bytes, head: bytes = LE) -> dict[str, Any]:
-    """The fields of a CDR message of a definition."""
     return RosDecoder(parse_definition(text, "pkg/Outer"), "pkg/Outer", ros1=False)(
         memoryview(head + body)
     )

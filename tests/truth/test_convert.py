@@ -373,7 +373,6 @@ row = st.fixed_dictionaries(
 def test_the_same_rows_come_back(
     logs: dict[str, Path], tmp_path: Path, name: str, rows: list[dict[str, Any]]
 ) -> None:
-    """Also of discs that the edge of the fan cuts, objects that are no landmark, blank cells."""
     fan = fan_of(logs[name])
     width = fan.bearing_max_deg - fan.bearing_min_deg
     bearings = np.array([fan.bearing_min_deg + (r["share"] + 0.5) * width for r in rows])
