@@ -63,6 +63,12 @@ def test_several_logs_are_a_row_each(tmp_path: Path) -> None:
     assert "lacks range_min_m" in told["bare"]
     assert "cut" in told["cut"].replace(str(logs[1]), "")
     assert "cannot be read" in told["noise"]
+    told = json.loads(sonarrec("info", logs[0], noise, "--json", code=3).stdout)
+    assert [("error" in each) for each in told["logs"]] == [False, True]
+    assert told["program"] == {"name": "sonarrec", "version": told["version"]}
+    sonarrec("info", logs[0], logs[0])
+    assert "not an MCAP" in sonarrec("info", noise, tmp_path / "missing", code=1).stderr
+    sonarrec("info", logs[0], "--nonsense", code=2)
 
 
 def without_geometry(path: Path) -> Path:
@@ -269,21 +275,6 @@ def test_pauses_are_found_between_images_that_are_not_decoded(tmp_path: Path) ->
         assert found[key] == every[key], key
     pauses = [[note for note in i["notes"] if "1 pause" in note] for i in (found, every)]
     assert pauses[0] == pauses[1] != []
-
-
-def test_exit_codes_of_several_logs(tmp_path: Path) -> None:
-    good = mcap_file(tmp_path / "log.mcap", MESSAGES)
-    nothing = tmp_path / "nothing.mcap"
-    nothing.write_bytes(b"no MCAP at all")
-    sonarrec("info", good, good)
-    result = sonarrec("info", good, nothing, "--json", code=3)
-    told = json.loads(result.stdout)
-    assert [("error" in each) for each in told["logs"]] == [False, True]
-    assert told["program"] == {"name": "sonarrec", "version": told["version"]}
-    assert "not an MCAP file" in result.stderr
-    sonarrec("info", nothing, code=1)
-    sonarrec("info", nothing, tmp_path / "missing", code=1)
-    sonarrec("info", good, "--nonsense", code=2)
 
 
 def test_a_geometry_is_written_with_what_is_missing_marked(tmp_path: Path) -> None:

@@ -182,6 +182,11 @@ def four_chunks(path: Path, compression: str = "", **how: bool) -> list[int]:
     return log.positions
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "log.mcap"
+
+
 # Damage to the second of four chunks
 
 Change = Callable[[bytearray, int], None]
@@ -233,10 +238,9 @@ CASES = {
 
 @pytest.mark.parametrize(("how", "change", "kept", "told"), CASES.values(), ids=CASES)
 def test_damage_costs_its_own_chunk_and_is_told(
-    how: dict[str, bool], change: Change, kept: list[int] | None, told: list[str], tmp_path: Path
+    how: dict[str, bool], change: Change, kept: list[int] | None, told: list[str], path: Path
 ) -> None:
     """Where there is an index, the frames after it keep their numbers."""
-    path = tmp_path / "log.mcap"
     chunk = four_chunks(path, **how)[1]  # type: ignore[arg-type]
     whole = read(path)
     assert (numbers(whole.frames), whole.problems) == (ALL, [])
@@ -253,8 +257,7 @@ def test_damage_costs_its_own_chunk_and_is_told(
         assert any(text in line for line in problems), text
 
 
-def test_a_chunk_that_states_a_later_start_than_it_has(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_chunk_that_states_a_later_start_than_it_has(path: Path) -> None:
     with HardLog(path) as log:
         for first in range(0, 12, 3):
             log.chunk(TIMED[first : first + 3], start=10**12 if first == 3 else None)
@@ -263,8 +266,7 @@ def test_a_chunk_that_states_a_later_start_than_it_has(tmp_path: Path) -> None:
     assert ["3 frames out" in line for line in problems] == [True]
 
 
-def test_messages_of_a_channel_that_is_not_defined_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_messages_of_a_channel_that_is_not_defined_are_told(path: Path) -> None:
     with HardLog(path, finished=False) as log:
         log.loose(TIMED[:10])
     path.write_bytes(path.read_bytes() + b"".join(message(*t, channel=7) for t in TIMED[10:]))
@@ -273,8 +275,7 @@ def test_messages_of_a_channel_that_is_not_defined_are_told(tmp_path: Path) -> N
     assert "2 messages" in problems[-1]
 
 
-def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(path: Path) -> None:
     with HardLog(path, finished=False) as log:
         log.loose(TIMED[:6])
         log.chunk(TIMED[6:])
@@ -290,8 +291,7 @@ def test_without_an_index_what_follows_damage_is_lost_and_said_to_be(tmp_path: P
 @pytest.mark.parametrize(
     ("compression", "declared"), [("", 0), ("lz4", 100), ("zstd", 100), ("zstd", 2**31 + 1)]
 )
-def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, path: Path) -> None:
     with HardLog(path) as log:
         log.chunk(TIMED[:6], compression, size=declared)
         log.chunk(TIMED[6:], compression)
@@ -301,7 +301,7 @@ def test_a_chunk_that_lies_about_its_size(compression: str, declared: int, tmp_p
     assert f" {declared} bytes" in problems[0]
 
 
-def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
+def test_bombs_are_given_up_at_the_size_they_declare(path: Path) -> None:
     bombs = {
         "zstd": zstandard.compress(bytes(2**28)),
         "lz4": lz4.frame.compress(bytes(2**28), block_size=lz4.frame.BLOCKSIZE_MAX4MB),
@@ -309,7 +309,6 @@ def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
     wide = zstandard.ZstdCompressionParameters(window_log=30, enable_ldm=True)
     compressor = zstandard.ZstdCompressor(compression_params=wide).compressobj()
     window = compressor.compress(bytes(1000)) + compressor.flush()
-    path = tmp_path / "log.mcap"
     with HardLog(path, finished=False) as log:
         log.chunk(TIMED)
     data = path.read_bytes()
@@ -325,9 +324,8 @@ def test_bombs_are_given_up_at_the_size_they_declare(tmp_path: Path) -> None:
     assert sum("1048576 bytes" in p for p in problems) == 2
 
 
-def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_message_beyond_the_bound(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "MAX_FRAME_BYTES", 500)
-    path = tmp_path / "log.mcap"
     with HardLog(path) as log:
         log.loose([TIMED[0], (PERIOD_NS, bytes(600)), *TIMED[2:]])
     found, problems, _ = read(path)
@@ -335,8 +333,7 @@ def test_a_message_beyond_the_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "message of 622 bytes" in problems[0]
 
 
-def test_what_follows_the_footer_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
+def test_what_follows_the_footer_is_told(path: Path) -> None:
     four_chunks(path)
     data = path.read_bytes()
     path.write_bytes(data + data)

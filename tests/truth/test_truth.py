@@ -55,7 +55,7 @@ def matched(case: Path, tolerance_s: float | None = None) -> Truth:
     return match_truth(read_truth(case / "gt.csv"), read_log(case / "out"), tolerance_s)
 
 
-# --- Reading -------------------------------------------------------------------------------------
+# Reading
 
 
 def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
@@ -70,7 +70,7 @@ def test_position_is_metres_in_the_fan_plane(case: Path) -> None:
     np.testing.assert_allclose(matched(case).position, [[1.0, 3**0.5]])
 
 
-# --- Matching by time ----------------------------------------------------------------------------
+# Matching by time
 
 
 def stamps(case: Path, *times_ms: int) -> None:
@@ -96,7 +96,7 @@ def test_time_matching_against_brute_force(case: Path) -> None:
     assert len(truth.frame_index) == len(expected)
 
 
-# --- Faults of the truth -------------------------------------------------------------------------
+# Faults of the truth
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
     assert "protocol paper" in done.stdout
 
 
-# --- Faults of the results -----------------------------------------------------------------------
+# Faults of the results
 
 
 @pytest.mark.parametrize(
