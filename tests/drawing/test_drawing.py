@@ -132,9 +132,7 @@ def test_disc_width_is_that_of_a_rendered_disc() -> None:
 
 
 @pytest.mark.parametrize("key", ["height_m", "tilt_deg"])
-def test_the_legend_of_a_preview_says_what_is_estimated(
-    key: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_preview_says_what_is_estimated(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(Pen, "text", lambda _, text, *__: told.append(text))
     stated = Sonar(height_m=0.68, tilt_deg=20.0)
@@ -155,9 +153,7 @@ def test_the_legend_of_a_preview_says_what_is_estimated(
     bearing=st.floats(-14, 14),
     radius=st.floats(0.02, 0.3),
 )
-def test_outline_is_a_circle_on_the_floor(
-    height: float, range_m: float, bearing: float, radius: float
-) -> None:
+def test_outline_is_a_circle(height: float, range_m: float, bearing: float, radius: float) -> None:
     """Every point, cast back to the floor of a three-dimensional scene, is a radius away."""
     fan = make_fan(height_m=height)
     outline = disc_outline(fan, radius, *at(fan, range_m, bearing))

@@ -117,9 +117,7 @@ def test_a_clock_that_was_set(container: str, tmp_path: Path) -> None:
         "rosbag2_bagfile_information: {relative_file_paths: 7, files: 3}",
     ],
 )
-def test_metadata_that_says_nothing(
-    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_empty_metadata(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     split(tmp_path / "dive")
     (tmp_path / "dive" / "metadata.yaml").write_text(text)
@@ -145,9 +143,7 @@ def test_metadata_that_cannot_be_true(tmp_path: Path) -> None:
     assert len(read(tmp_path / "dive").frames) == 10
 
 
-def test_messages_that_inflate_to_more_than_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_that_inflate_too_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros, "MAX_FRAME_BYTES", 2**20)
     bomb = zstandard.ZstdCompressor().compress(bytes(2**24))
     timed = [*messages(IMAGES[:2]), (PERIOD_NS * 2, bomb), (PERIOD_NS * 3, bomb[:4] + b"\xff" * 20)]

@@ -121,9 +121,7 @@ def test_a_changed_file_is_told_or_reads_as_before(make: Make, tmp_path: Path) -
 
 @pytest.mark.parametrize("kind", ["aris", "didson", "oculus"])
 @pytest.mark.parametrize("lost", [100, 900, -700])
-def test_lost_or_strange_bytes_cost_the_frames_they_lie_in(
-    kind: str, lost: int, tmp_path: Path
-) -> None:
+def test_lost_or_strange_bytes_cost_their_frames(kind: str, lost: int, tmp_path: Path) -> None:
     """Reading goes on at the next header; every other frame keeps its image and its time."""
     path, whole = made(CORPUS[kind], tmp_path)
     data, before = path.read_bytes(), {frame.timestamp_ns: frame.image for frame in whole}

@@ -276,9 +276,7 @@ def test_lens_of_a_didson() -> None:
         (3, 1, 3 * 0.375, 4.5),
     ],
 )
-def test_windows_of_a_didson(
-    flags: int, high: int, near: float, length: float, tmp_path: Path
-) -> None:
+def test_didson_windows(flags: int, high: int, near: float, length: float, tmp_path: Path) -> None:
     head, images = {"HighResolution": high}, frames(1, 64, 96)
     path = didson_file(tmp_path / "d.ddf", images, 4, file=head, ConfigFlags=flags)
     geometry = info(path)["images"][0]["geometry"]

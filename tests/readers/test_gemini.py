@@ -98,9 +98,7 @@ def test_upside_down_left_is_right(tmp_path: Path, whole: list[np.ndarray]) -> N
     np.testing.assert_array_equal(found.images, whole)
 
 
-def test_other_records_and_zoomed_images_are_passed_over(
-    tmp_path: Path, whole: list[np.ndarray]
-) -> None:
+def test_other_records_are_passed_over(tmp_path: Path, whole: list[np.ndarray]) -> None:
     records = [
         *(GEMINI_STATUS, gemini_message(98, b"$HEHDT,12.5,T*2A"), RECORDS[0]),
         *(gemini_record(1, IMAGES[1], zoomed=True), gemini_message(99, bytes(70)), RECORDS[2]),

@@ -227,9 +227,7 @@ def test_folder_glob_and_video(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
-def test_of_a_long_folder_a_sample_is_decoded_and_damage_at_either_end_is_named(
-    suffix: str, tmp_path: Path
-) -> None:
+def test_of_a_long_folder_a_sample_is_decoded(suffix: str, tmp_path: Path) -> None:
     """Whatever `--all` names, but for what is wrong in the middle of a file alone."""
     names = [f"frame{n}{suffix}" for n in range(240)]
     in_colour = [cv2.merge([image // 2] * 3) for image in frames(240, 12, 12)]

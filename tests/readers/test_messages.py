@@ -62,7 +62,7 @@ def test_two_sonars_on_one_topic_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("first", "in_turn"), [((0, 2, 4, 6, 8, 10), True), (range(6), False)])
-def test_two_channels_of_one_topic_that_take_turns_are_told(
+def test_channels_that_take_turns_are_told(
     first: Sequence[int], in_turn: bool, tmp_path: Path
 ) -> None:
     """One after the other they are parts of one recording."""

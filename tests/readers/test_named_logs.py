@@ -197,9 +197,7 @@ def test_names_of_results(campaign: Path) -> None:
 
 
 @pytest.mark.parametrize("given", ["dives", "dives/*.mcap", "dives/**/*.mcap"])
-def test_a_link_to_nothing_is_a_log_that_fails(
-    given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_links_to_nothing_fail(given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Passed over unsaid, its log would be missing and nobody would know."""
     monkeypatch.chdir(tmp_path)
     for name in ("a", "c"):

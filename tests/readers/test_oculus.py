@@ -139,9 +139,7 @@ def test_full_pings_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_a_ping_shorter_than_its_header_costs_itself(
-    version: int, tmp_path: Path, whole: list[np.ndarray]
-) -> None:
+def test_a_short_ping_costs_itself(version: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
     short = oculus_message(0x23, bytes(60), version=version)
     found = read(tmp_path / "a.raw", PINGS[0] + short + PINGS[1])
     np.testing.assert_array_equal(found.images, whole[:2])

@@ -316,9 +316,7 @@ def test_header_stamps_that_nobody_set(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("axis", "angle_deg"), [("z", 0.0), ("z", 40.0), ("z", -25.0), ("y", 30.0), ("y", -20.0)]
 )
-def test_beams_that_a_mounting_pitches_or_rolls(
-    axis: str, angle_deg: float, tmp_path: Path
-) -> None:
+def test_beams_of_a_mounting_that_leans(axis: str, angle_deg: float, tmp_path: Path) -> None:
     """Bearings are taken in the beams' own plane, whose pitch is noted."""
     (flat,), (leaning,) = projected(1), projected(1)
     angle = np.radians(angle_deg)

@@ -266,9 +266,7 @@ def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize(("share", "as_decibels"), [(0.01, False), (0.2, False), (0.9, True)])
-def test_a_share_of_negative_pixels_decides(
-    share: float, as_decibels: bool, tmp_path: Path
-) -> None:
+def test_the_share_below_0_decides(share: float, as_decibels: bool, tmp_path: Path) -> None:
     """Noise below 0 makes no decibels of amplitudes; and what was assumed is told."""
     rng = np.random.default_rng(0)
     images = [rng.rayleigh(200.0, (48, 38)).astype(np.float32) for _ in range(3)]

@@ -65,9 +65,7 @@ pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6
     range_m=st.floats(1.6, 3.4),
     bearing_deg=st.floats(-12, 12),
 )
-def test_a_still_object_appears_where_trigonometry_says(
-    kind, before, turn, carried, range_m, bearing_deg
-):
+def test_a_still_object_moves_by_trigonometry(kind, before, turn, carried, range_m, bearing_deg):
     after = (before[0] + turn, before[1] + carried[0], before[2] + carried[1])
     heading = math.radians(before[0] + bearing_deg)
     ground = math.sqrt(range_m**2 - HEIGHT**2)
@@ -223,9 +221,7 @@ angle = st.floats(-1.3, 1.3)
     moved=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-50, 50)),
     length=st.sampled_from([1.0, -1.0, 1e-200, 3.0]),
 )
-def test_poses_in_tum_form_have_the_heading_of_their_x_axis(
-    tmp_path_factory, yaw, pitch, roll, moved, length
-):
+def test_tum_poses_head_along_their_x_axis(tmp_path_factory, yaw, pitch, roll, moved, length):
     """Half angles of yaw, pitch and roll make the quaternion; the heading is that of the rotated x
     axis on the floor, counted to the right. Roll, pitch and height have no part in it."""
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)

@@ -173,9 +173,7 @@ def test_a_log_that_begins_with_faults_is_settled_before_a_span(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("is_blank", [False, True], ids=["faults", "blank images of another size"])
-def test_a_log_that_begins_with_nothing_is_read_as_without_it(
-    is_blank: bool, tmp_path: Path
-) -> None:
+def test_a_log_that_begins_with_nothing(is_blank: bool, tmp_path: Path) -> None:
     """Size, colour map and height are those that the first images show that show something."""
     images = [cv2.applyColorMap(image, cv2.COLORMAP_JET) for image in frames(4)]
     whole = image_folder(tmp_path / "whole", images)
@@ -192,14 +190,12 @@ def test_a_log_that_begins_with_nothing_is_read_as_without_it(
 
 
 @pytest.mark.parametrize(("stated_hz", "noted"), [(4.0, False), (25.0, True), (None, False)])
-def test_a_stated_rate_that_a_video_overrides_is_noted(
+def test_the_rate_of_a_video_goes_first(
     stated_hz: float | None, noted: bool, tmp_path: Path
 ) -> None:
     """Its times come from its container, here of 4 frames per second."""
-    path, sonar = (
-        video_file(tmp_path / "log.avi", frames(3), "HFYU"),
-        Sonar(frame_rate_hz=stated_hz),
-    )
+    path = video_file(tmp_path / "log.avi", frames(3), "HFYU")
+    sonar = Sonar(frame_rate_hz=stated_hz)
     found = read(path, sonar=sonar)
     assert found.times == [0, 250_000_000, 500_000_000]
     for told in (found.notes, describe(path, sonar=sonar).images[0].notes):
@@ -454,9 +450,7 @@ def test_a_clock_that_was_set_after_the_first_frames_is_told(unset: int, tmp_pat
 
 
 @pytest.mark.parametrize(("divisor", "unit"), [(1, ""), (1_000, "us"), (10**6, "ms")])
-def test_a_rate_that_no_sonar_has_is_told_with_the_unit_that_fits(
-    divisor: int, unit: str, tmp_path: Path
-) -> None:
+def test_times_in_another_unit_are_told(divisor: int, unit: str, tmp_path: Path) -> None:
     stored = [("/s", k * PERIOD_NS // divisor, cdr_image(i)) for k, i in enumerate(frames(8))]
     notes = read(mcap_file(tmp_path / "log.mcap", stored)).notes
     told = [note for note in notes if "a second" in note]

@@ -206,9 +206,7 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
 
 @settings(max_examples=30)
 @given(st.floats(1.6, 3.4), st.floats(-16, 16), st.floats(0.05, 0.2))
-def test_share_inside_a_bearing_edge_is_a_circular_segment(
-    range_m: float, bearing_deg: float, radius_m: float
-) -> None:
+def test_an_edge_cuts_a_segment(range_m: float, bearing_deg: float, radius_m: float) -> None:
     """Seen from above the fan's sides are straight lines through the sonar."""
     fan = make_fan(range_min_m=0.8, range_max_m=4.5)
     ground = math.sqrt(range_m**2 - floor_depth(fan) ** 2)
