@@ -45,7 +45,8 @@ def test_links_to_files_that_are_not_there_keep_their_number(pattern: str, tmp_p
     assert found.numbers == [1, 2, 4, 5]
     np.testing.assert_array_equal(found.images, [IMAGES[k] for k in found.numbers])
     assert found.times == [k * PERIOD_NS for k in found.numbers]
-    assert [line.partition(":")[0] for line in found.problems] == ["frame0.png", "frame3.png"]
+    for number, line in zip((0, 3), found.problems, strict=True):
+        assert line.startswith(f"frame{number}.png: a link")
     with open_log(log / pattern) as opened:
         assert opened.digest_source()[0] > 0
         assert opened.name == "log"
@@ -112,7 +113,9 @@ def test_a_jpeg_that_is_damaged_inside(tmp_path: Path) -> None:
         (log / f"{number}.jpg").write_bytes(data)
     found = read(log)
     assert found.numbers == [0, 1, 3, 5]
-    assert [line.partition(":")[0] for line in found.problems] == ["2.jpg", "4.jpg"]
+    for number, line in zip((2, 4), found.problems, strict=True):
+        assert line.startswith(f"{number}.jpg")
+        assert "damaged" in line
 
 
 @pytest.mark.parametrize(

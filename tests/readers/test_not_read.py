@@ -57,19 +57,25 @@ def test_folders_of_images_beside_recordings(tmp_path: Path) -> None:
     assert [Path(log.path).name for log in logs_of(str(tmp_path))] == ["a.mkv", "b", "c"]
 
 
+POINTERS = ("a.mcap", "a.aris", "a.bag", "a.db3", "a.mp4", "a.glf", "a.raw", "a.png")
+
+
 @pytest.mark.parametrize(
-    ("name", "head", "of"),
+    ("name", "head", "fact"),
     [
-        ("a.mbez", b"", "Blueye"),
+        ("a.mbez", b"x", "Blueye"),
         ("a.bin", b"\0\0", "Ping360"),
-        ("a.svlog", b"", "Cerulean"),
+        ("a.svlog", b"x", "Cerulean"),
         ("a.raw", b"\x50\0\0\0XML0", "EK80"),
         ("a.dat", b"RIP2", "3D-15"),
+        *((name, LFS, "git lfs pull") for name in POINTERS),
     ],
 )
-def test_recordings_of_others_are_named(name: str, head: bytes, of: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(head + b"x" * 50)
-    assert of in sonarrec("run", tmp_path / name, code=1).stderr
+def test_files_of_others_are_named(name: str, head: bytes, fact: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(head + b"x" * 50 * (head != LFS))
+    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
+    (line,) = sonarrec("run", tmp_path / name, "-o", tmp_path / "out", code=1).stderr.splitlines()
+    assert fact in line
 
 
 def two_sonars(path: Path, camera: str = "/camera") -> Path:
@@ -121,17 +127,6 @@ def test_two_recordings_in_one_file(make: Callable[[Path], Path], tmp_path: Path
     doubled = read(log)
     assert doubled.numbers == whole.numbers
     assert (len(whole.problems), len(doubled.problems)) == (0, 1)
-
-
-@pytest.mark.parametrize(
-    "name", ["a.mcap", "a.aris", "a.bag", "a.db3", "a.mp4", "a.glf", "a.raw", "a.png"]
-)
-def test_a_pointer_in_place_of_a_log(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(LFS)
-    (tmp_path / "sonar.toml").write_text(SONAR_TOML)
-    told = sonarrec("run", tmp_path / name, "-o", tmp_path / "out", code=1).stderr
-    assert "git lfs pull" in told
-    assert len(told.splitlines()) == 1
 
 
 def test_a_pointer_in_place_of_an_image_and_of_a_geometry(tmp_path: Path) -> None:
@@ -189,14 +184,6 @@ def test_a_folder_of_macos_and_a_table_of_another_system(tmp_path: Path) -> None
     sonarrec("evaluate", tmp_path / "out", "--ground-truth", tmp_path / "gt.csv")
 
 
-def arrays(folder: Path, images: list[np.ndarray]) -> Path:
-    folder.mkdir(parents=True)
-    for k, image in enumerate(images):
-        np.save(folder / f"{k}.npy", image)
-    (folder / "sonar.toml").write_text(SONAR_TOML)
-    return folder
-
-
 @pytest.mark.parametrize(
     "array",
     [
@@ -209,15 +196,15 @@ def arrays(folder: Path, images: list[np.ndarray]) -> Path:
     ids=["three axes", "complex", "text", "empty", "objects"],
 )
 def test_arrays_of_another_kind_are_refused_in_a_line(array: np.ndarray, tmp_path: Path) -> None:
-    log = arrays(tmp_path / "log", frames(3))
-    np.save(log / "1.npy", array, allow_pickle=True)
+    log = image_folder(tmp_path / "log", frames(3), ".npy")
+    np.save(log / "frame1.npy", array, allow_pickle=True)
     found = read(log)
     assert found.numbers == [0, 2]
-    assert [line.partition(":")[0] for line in found.problems] == ["1.npy"]
+    assert [line.partition(":")[0] for line in found.problems] == ["frame1.npy"]
 
 
 def test_many_arrays_beside_one_image_are_the_log(tmp_path: Path) -> None:
-    log = arrays(tmp_path / "log", frames(12))
+    log = image_folder(tmp_path / "log", frames(12), ".npy")
     cv2.imwrite(str(log / "preview.png"), frames(1)[0])
     found, _, notes = read(log)
     assert len(found) == 12
@@ -227,24 +214,24 @@ def test_many_arrays_beside_one_image_are_the_log(tmp_path: Path) -> None:
 def test_most_first_arrays_decide_on_decibels(tmp_path: Path) -> None:
     """One frame without echoes, or of another unit, comes first."""
     decibels = [20 * np.log10(np.maximum(image, 1) / 255) - 3 for image in frames(4)]
-    plain = arrays(tmp_path / "plain", decibels)
-    odd = arrays(tmp_path / "odd", [np.full(decibels[0].shape, 0.5), *decibels])
+    plain = image_folder(tmp_path / "plain", decibels, ".npy")
+    odd = image_folder(tmp_path / "odd", [np.full(decibels[0].shape, 0.5), *decibels], ".npy")
     np.testing.assert_array_equal(read(plain).images, read(odd).images[1:])
 
 
 def test_damaged_arrays_cost_themselves(tmp_path: Path) -> None:
-    log = arrays(tmp_path / "log", frames(12))
-    whole = (log / "0.npy").read_bytes()
+    log = image_folder(tmp_path / "log", frames(12), ".npy")
+    whole = (log / "frame0.npy").read_bytes()
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(
         header, {"descr": "|u1", "fortran_order": False, "shape": (10**9, 10**9)}
     )
     bad = [whole[:k] for k in (3, 7, 20, 200, 300)] + [header.getvalue(), whole[:8] * 40]
     for k, data in enumerate(bad, 1):
-        (log / f"{k}.npy").write_bytes(data)
+        (log / f"frame{k}.npy").write_bytes(data)
     both = []
     for in_order in (np.ascontiguousarray, np.asfortranarray):
-        np.save(log / "8.npy", in_order(frames(12)[8]))
+        np.save(log / "frame8.npy", in_order(frames(12)[8]))
         found = read(log)
         assert found.numbers == [0, 8, 9, 10, 11]
         both.append(found.images)
@@ -259,7 +246,7 @@ def test_arrays_beside_images_or_logs_are_no_frames(tmp_path: Path) -> None:
     day = tmp_path / "day"
     day.mkdir()
     shutil.copytree(log, day / "dive")
-    arrays(day / "simulated", frames(3))
+    image_folder(day / "simulated", frames(3), ".npy")
     assert "2 done" in sonarrec("run", day, "--recursive", "-o", tmp_path / "out").stdout
 
 

@@ -41,19 +41,6 @@ def folder(suffix: str, change: Callable[[np.ndarray], np.ndarray] = lambda imag
     return lambda path, images: image_folder(path / "log", [change(i) for i in images], suffix)
 
 
-def npy(change: Callable[[np.ndarray], np.ndarray]) -> Maker:
-    """A folder of arrays, the tenth behind the second."""
-
-    def make(path: Path, images: list[np.ndarray]) -> Path:
-        (path / "log").mkdir()
-        for k, image in enumerate(images):
-            np.save(path / "log" / f"{k + 5}.npy", change(image))
-        (path / "log" / "sonar.toml").write_text(SONAR_TOML)
-        return path / "log"
-
-    return make
-
-
 def mcap(**options: object) -> Maker:
     return lambda path, images: image_mcap(path / "log.mcap", images, **options)
 
@@ -85,14 +72,14 @@ SAME_FRAMES: dict[str, Maker] = {
     "tiff, float": folder(".tif", lambda i: (i / 255).astype(np.float32)),
     "png, colour": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGR)),
     "png, alpha": folder(".png", lambda i: cv2.cvtColor(i, cv2.COLOR_GRAY2BGRA)),
-    "npy": npy(lambda i: i),
-    "npy, 16 bit, big-endian": npy(lambda i: (i.astype(np.uint16) * 257).astype(">u2")),
-    "npy, float": npy(lambda i: (i / 255).astype(np.float32)),
-    "npy, double": npy(lambda i: i / 255),
-    "npy, half": npy(lambda i: (i / 255).astype(np.float16)),
-    "npy, integers": npy(lambda i: i.astype(np.int64)),
-    "npy, 16 bit as integers": npy(lambda i: i.astype(np.int32) * 257),
-    "npy, of one": npy(lambda i: i[None]),
+    "npy": folder(".npy"),
+    "npy, 16 bit, big-endian": folder(".npy", lambda i: (i.astype(np.uint16) * 257).astype(">u2")),
+    "npy, float": folder(".npy", lambda i: (i / 255).astype(np.float32)),
+    "npy, double": folder(".npy", lambda i: i / 255),
+    "npy, half": folder(".npy", lambda i: (i / 255).astype(np.float16)),
+    "npy, integers": folder(".npy", lambda i: i.astype(np.int64)),
+    "npy, 16 bit as integers": folder(".npy", lambda i: i.astype(np.int32) * 257),
+    "npy, of one": folder(".npy", lambda i: i[None]),
     "avi": lambda path, images: video_file(path / "log.avi", images, "HFYU"),  # lossless
     "mkv": lambda path, images: video_file(path / "log.mkv", images, "HFYU"),
     "bag, ROS 1, bz2": lambda path, images: ros1_bag(path / "log.bag", images, "BZ2"),

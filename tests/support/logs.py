@@ -48,10 +48,14 @@ def frames(count: int = 7, rows: int = 48, columns: int = 38, seed: int = 0) -> 
 def image_folder(
     path: Path, images: list[np.ndarray], suffix: str = ".png", names: Sequence[str] = ()
 ) -> Path:
-    """A folder of images. names: of the files, in place of frame0.png and so on."""
+    """A folder of images, or arrays. names: of the files, in place of frame0.png and so on."""
     path.mkdir(parents=True)
     for k, image in enumerate(images):
-        assert cv2.imwrite(str(path / (names[k] if names else f"frame{k}{suffix}")), image)
+        file = path / (names[k] if names else f"frame{k}{suffix}")
+        if suffix == ".npy":
+            np.save(file, image)
+        else:
+            assert cv2.imwrite(str(file), image)
     (path / "sonar.toml").write_text(SONAR_TOML)
     return path
 
