@@ -124,39 +124,33 @@ def test_a_log_of_viewpoint(compressed: bool, tmp_path: Path, whole: list[np.nda
         assert frame.stamps.header == round((100 + k / 8) * 1e9)
 
 
-def test_other_messages_are_passed_over(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    kinds = {0xFF: b"", 0x55: b"settings", 0x15: b"x"}
-    other = b"".join(oculus_message(kind, body) for kind, body in kinds.items())
-    found = read(tmp_path / "a.raw", other + PINGS[0] + other + PINGS[1])
-    assert not found.problems
-    np.testing.assert_array_equal(found.images, whole[:2])
+# What is not a ping
 
 
-def test_full_pings_are_told(tmp_path: Path) -> None:
-    full = oculus_message(0x22, bytes(900))
-    (problem,) = read(tmp_path / "a.raw", PINGS[0] + full + full).problems
-    assert "a.raw: 2 pings" in problem
+KINDS = {0xFF: b"", 0x55: b"settings", 0x15: b"x"}
+OTHERS = b"".join(oculus_message(kind, body) for kind, body in KINDS.items())
+FULL = oculus_message(0x22, bytes(900))
+SHORT = {version: oculus_message(0x23, bytes(60), version=version) for version in (1, 2)}
+NOISE = np.random.default_rng(3).bytes(5000)
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_a_short_ping_costs_itself(version: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
-    short = oculus_message(0x23, bytes(60), version=version)
-    found = read(tmp_path / "a.raw", PINGS[0] + short + PINGS[1])
-    np.testing.assert_array_equal(found.images, whole[:2])
-    (problem,) = found.problems
-    assert f"{len(short)} bytes" in problem
-
-
-# Streams that are not whole
-
-
-def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    noise = np.random.default_rng(3).bytes(5000)
-    data = noise[:3000] + PINGS[0] + PINGS[1] + noise + PINGS[2]
-    found = read(tmp_path / "a.raw", data)
+@pytest.mark.parametrize(
+    ("before", "between", "told"),
+    [
+        (OTHERS, OTHERS, None),
+        (b"", FULL + FULL, "a.raw: 2 pings"),
+        *((b"", short, f"{len(short)} bytes") for short in SHORT.values()),
+        (NOISE[:3000], NOISE, "8000 bytes in 2 gaps"),
+    ],
+    ids=["other messages", "full pings", "short ping, 1", "short ping, 2", "noise"],
+)
+def test_what_is_no_ping_costs_no_ping(
+    before: bytes, between: bytes, told: str | None, tmp_path: Path, whole: list[np.ndarray]
+) -> None:
+    found = read(tmp_path / "a.raw", before + PINGS[0] + between + PINGS[1] + PINGS[2])
     np.testing.assert_array_equal(found.images, whole[:3])
-    (problem,) = found.problems
-    assert "8000 bytes in 2 gaps" in problem
+    assert len(found.problems) == (told is not None)
+    assert all(told in problem for problem in found.problems)
 
 
 @pytest.mark.parametrize(
