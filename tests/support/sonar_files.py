@@ -52,14 +52,9 @@ PERIOD_US = 125_000
 CHANNEL_BEAM = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
 
 
-def fields_of(description: str) -> list[tuple[str, str]]:
-    """(name, type code) of every field, in order."""
-    return [tuple(field.split()) for field in description.split(",")]  # type: ignore[misc]
-
-
 def packed(description: str, size: int, values: dict[str, Any]) -> bytes:
     """The fields one after another, zero where no value is given, filled up to `size` bytes."""
-    fields = fields_of(description)
+    fields = [field.split() for field in description.split(",")]
     assert not set(values) - {name for name, _ in fields}
     zero = {code: b"" if code.endswith("s") else 0 for _, code in fields}
     data = struct.pack(
