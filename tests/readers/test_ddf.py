@@ -302,22 +302,3 @@ def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:
     found, (problem,), _ = read(path)
     assert len(found) == 3
     assert "9000 bytes" in problem
-
-
-@pytest.mark.parametrize(
-    ("data", "says"),
-    [
-        (b"junk" * 999, "not a DDF"),
-        (b"DDF\x01" + bytes(5000), "DDF_01"),
-        (b"DDF", "not a DDF"),
-        (b"DDF\x05" + bytes(99), "cut short"),
-        (b"DDF\x05" + bytes(1500), "frames of 0 samples in 0 beams"),
-        (b"DDF\x05" + b"\xff" * 1500, "frames of 4294967295 samples in 4294967295 beams"),
-    ],
-)
-def test_what_cannot_be_opened(data: bytes, says: str, tmp_path: Path) -> None:
-    (tmp_path / "a.aris").write_bytes(data)
-    with pytest.raises(SonarrecError, match=says) as caught:
-        read(tmp_path / "a.aris")
-    assert "\n" not in str(caught.value)
-    sonarrec("info", tmp_path / "a.aris", code=1)

@@ -72,22 +72,12 @@ def test_a_file_too_large_to_be_an_image(tmp_path: Path) -> None:
     assert "frame2.png" in problem
 
 
-def test_a_name_that_is_no_utf8(tmp_path: Path) -> None:
-    odd = os.fsdecode(os.fsencode(tmp_path) + b"/dive\xe9")
-    for ending in (".avi", ".xyz"):
-        Path(odd + ending).write_bytes(b"junk" * 100)
-        with pytest.raises(SonarrecError) as caught:
-            open_log(odd + ending)
-        str(caught.value).encode()
-
-
 @pytest.mark.parametrize(
     "name", ["x" * 5000, "*" * 5000, "a/" * 2500, "9" * 5000 + "/*.png", "\0.png"], ids=range(5)
 )
 def test_an_argument_that_is_no_name(name: str) -> None:
-    with pytest.raises(SonarrecError) as caught:
+    with pytest.raises(SonarrecError):
         open_log(name)
-    assert "\n" not in str(caught.value)
     if "\0" not in name:
         sonarrec("info", name, code=1)
 

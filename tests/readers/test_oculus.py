@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sonarrec.errors import SonarrecError
 from sonarrec.readers.info import describe
 from sonarrec.readers.open import find_log
 from tests.readers.test_ddf import as_fan
@@ -151,21 +150,3 @@ def test_what_is_no_ping_costs_no_ping(
     np.testing.assert_array_equal(found.images, whole[:3])
     assert len(found.problems) == (told is not None)
     assert all(told in problem for problem in found.problems)
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "says"),
-    [
-        ("a.raw", b"junk" * 9999, "no ping"),
-        ("a.raw", b"SO" * 9999, "no ping"),
-        ("a.oculus", b"SQLite format 3\0" + bytes(99), "ViewPoint"),
-        ("a.oculus", oculus_log(PINGS, encryption=1), "encrypted"),
-        ("a.oculus", oculus_log([]), "no ping"),
-        ("a.raw", PINGS[0][:900], r"no ping .*\(only 900 bytes"),
-    ],
-)
-def test_what_cannot_be_opened(name: str, data: bytes, says: str, tmp_path: Path) -> None:
-    with pytest.raises(SonarrecError, match=says) as caught:
-        read(tmp_path / name, data)
-    assert "\n" not in str(caught.value)
-    sonarrec("info", tmp_path / name, code=1)

@@ -201,10 +201,9 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
         ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1", "100 are neither"),
     ],
 )
-def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
-    with pytest.raises(SonarrecError, match=f"odometry.csv.*{fault}") as told:
+def test_a_table_that_cannot_be_used(tmp_path, text, fault):
+    with pytest.raises(SonarrecError, match=f"odometry.csv.*{fault}"):
         table_of(tmp_path, text)
-    assert "\n" not in str(told.value)
 
 
 # Poses in TUM form

@@ -159,9 +159,8 @@ def test_definitions_that_cannot_be_understood(text: str, tmp_path: Path) -> Non
             schema=name, schema_encoding="ros2msg", schema_data=text.encode(),
         )  # fmt: skip
 
-    with pytest.raises(SonarrecError, match="/a") as refused:
+    with pytest.raises(SonarrecError, match="/a"):
         read(log("sonar_oculus_interface/msg/OculusPing"))
-    assert "\n" not in str(refused.value)
     np.testing.assert_array_equal(read(log("sensor_msgs/msg/Image")).images, [IMAGE])
 
 
