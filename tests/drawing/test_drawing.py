@@ -61,9 +61,6 @@ def place(fan: Fan, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.hypot(across, ahead) * fan.metres_per_pixel, np.degrees(np.arctan2(across, ahead))
 
 
-# Range rings and bearings
-
-
 def gridded(fan: Fan) -> np.ndarray:
     canvas = cv2.cvtColor(blank(fan), cv2.COLOR_GRAY2BGR)
     pen = Pen(canvas, pixel_unit(max(fan.rows, fan.columns)))
@@ -89,9 +86,6 @@ def test_the_grid_is_the_stated_fan_and_round_ranges_and_bearings() -> None:
         column = FAN.apex_column + range_m * math.sin(b) / FAN.metres_per_pixel
         row = FAN.apex_row - range_m * math.cos(b) / FAN.metres_per_pixel
         assert np.hypot(*(points - (column, row)).T).min() < 3, (range_m, degrees)
-
-
-# The preview
 
 
 def preview(fan: Fan) -> np.ndarray:
@@ -302,9 +296,6 @@ def test_ticks_stand_every_twenty_frames() -> None:
     away = np.abs(found[:, None] - expected)
     assert away.min(axis=0).max() <= 1  # each has its tick
     assert away.min(axis=1).max() <= 1  # and nothing else is there
-
-
-# The commands
 
 
 def test_info_writes_the_preview_of_the_first_frame_that_can_be_used(tmp_path: Path) -> None:

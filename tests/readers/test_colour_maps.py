@@ -116,9 +116,6 @@ def test_grey_pictures_and_strange_colours_have_no_map() -> None:
     assert find_map([strange]) is None
 
 
-# Logs
-
-
 def make_log(folder: Path, draw: Callable[[int, np.ndarray], np.ndarray]) -> Path:
     """The first frames of the sample, each drawn by its number and its grey image."""
     log = folder / "drawn" / "pan"

@@ -293,9 +293,6 @@ def test_a_didson_whose_clock_was_never_set(year: int, tmp_path: Path) -> None:
     assert not found.problems
 
 
-# Files that are not whole
-
-
 def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:
     path = aris_file(tmp_path / "a.aris", frames(3, 64, 48))
     path.write_bytes(path.read_bytes() + bytes(9000))

@@ -39,9 +39,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
     return read(tmp_path_factory.mktemp("whole"), RECORDS).images
 
 
-# Whole logs
-
-
 @pytest.mark.parametrize(("version", "compression"), [(2, 0), (2, 1), (3, 0), (3, 1)])
 def test_as_another_reader_reads_it(version: int, compression: int, tmp_path: Path) -> None:
     """pytritech, which its authors wrote for their own recordings."""
@@ -115,9 +112,6 @@ def test_of_two_sonars_the_first_is_read(tmp_path: Path, whole: list[np.ndarray]
     np.testing.assert_array_equal(found.images, whole)
     (problem,) = found.problems
     assert "a.glf: 6 images" in problem
-
-
-# Logs that are not whole
 
 
 def with_image(**how: Any) -> bytes:

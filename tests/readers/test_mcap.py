@@ -34,9 +34,6 @@ def one(tmp_path: Path, message: bytes, **options: str) -> np.ndarray:
     return found.images[0]
 
 
-# Messages
-
-
 BGR = np.random.default_rng(2).integers(0, 256, (*IMAGE.shape, 3), dtype=np.uint8)
 
 
@@ -106,9 +103,6 @@ def test_json_that_is_no_image(message: bytes) -> None:
         decode(memoryview(message))
 
 
-# Channels
-
-
 def test_topics(tmp_path: Path) -> None:
     first, second = frames(2)
     messages = [("/a", 0, cdr_image(first)), ("/b", 1, cdr_image(second)), ("/a", 2, b"x")]
@@ -128,9 +122,6 @@ def test_no_image_channel_lists_what_there_is(tmp_path: Path) -> None:
         read(path)
     with pytest.raises(SonarrecError, match="no channel"):
         read(image_mcap(tmp_path / "empty.mcap", []))
-
-
-# Order
 
 
 @pytest.mark.parametrize("options", [{}, {"chunked": False}, {"indexed": False}], ids=str)
@@ -341,9 +332,6 @@ def test_what_follows_the_footer_is_told(path: Path) -> None:
     assert numbers(found) == ALL
     more = f"{len(data)} bytes follow its end at byte {len(data)} and were not read"
     assert problems == [f"log.mcap: {more}"]
-
-
-# Memory
 
 
 @pytest.fixture(scope="module")

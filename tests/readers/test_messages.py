@@ -26,8 +26,6 @@ from tests.support.messages import BEAMS, BINS, OCULUS, PROJECTED, RAW, directio
 
 IMAGE = messages.polar_frames(1)[0]
 
-# The matrix
-
 
 @pytest.mark.parametrize(("i", "writer"), [*enumerate(messages.WRITERS)])
 def test_every_message_gives_the_frames_of_the_folder(i: int, writer: str, tmp_path: Path) -> None:
@@ -73,9 +71,6 @@ def test_channels_that_take_turns_are_told(
     found, _, notes = read(mcap_file(tmp_path / "log.mcap", timed))
     assert len(found) == 12
     assert any("2 channels" in note for note in notes) == in_turn
-
-
-# One message
 
 
 @pytest.mark.parametrize("forward", ["x", "y", "z"])
@@ -210,9 +205,6 @@ def test_damaged_messages_never_escape(name: str, wire: str, data: st.DataObject
     except UnusableError:
         return
     assert ping.pixels.size
-
-
-# The beams' width
 
 
 @pytest.mark.parametrize(

@@ -41,9 +41,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
     return read(tmp_path_factory.mktemp("whole") / "whole.raw", b"".join(PINGS)).images
 
 
-# The real pings
-
-
 @pytest.mark.parametrize("name", ["oculus_one_ping_8bit.raw", "oculus_three_pings_8bit.raw"])
 def test_real_pings(name: str, tmp_path: Path) -> None:
     if not (VENDOR / name).exists():
@@ -76,9 +73,6 @@ def test_real_pings(name: str, tmp_path: Path) -> None:
     image = np.frombuffer(data, np.uint8, size, at + offset).reshape(ranges, beams)
     expected = as_fan([image], 0.0, ranges * resolution, bearings, tmp_path / "polar")
     np.testing.assert_array_equal(found[-1].image, expected[0])
-
-
-# Written pings
 
 
 @pytest.mark.parametrize("version", [0, 1, 2])
@@ -121,9 +115,6 @@ def test_a_log_of_viewpoint(compressed: bool, tmp_path: Path, whole: list[np.nda
     for k, frame in enumerate(found.frames):
         assert frame.timestamp_ns == frame.stamps.log == round((1.7e9 + k / 8) * 1e9)
         assert frame.stamps.header == round((100 + k / 8) * 1e9)
-
-
-# What is not a ping
 
 
 KINDS = {0xFF: b"", 0x55: b"settings", 0x15: b"x"}

@@ -50,9 +50,6 @@ def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float
     return range_m, math.degrees(math.atan2(x - at_x, y - at_y)) - yaw
 
 
-# Poses and motions
-
-
 pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
 
 
@@ -139,9 +136,6 @@ def test_what_was_not_measured_is_not_told(tmp_path):
     assert motion(table, 4_000_000_000, 8_000_000_000).pan_deg == pytest.approx(4)
 
 
-# The command
-
-
 @pytest.fixture
 def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Sixteen frames of the sample log, 4 a second, panning by 0.5 deg a frame."""
@@ -206,9 +200,6 @@ def test_a_table_that_cannot_be_used(tmp_path, text, fault):
         table_of(tmp_path, text)
 
 
-# Poses in TUM form
-
-
 angle = st.floats(-1.3, 1.3)
 
 
@@ -243,9 +234,6 @@ def test_tum_poses_head_along_their_x_axis(tmp_path_factory, yaw, pitch, roll, m
     # Positions of a map are in the file's own axes.
     place = table.position(int(table.time_ns[1]), 0.0, 1.0)
     assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
-
-
-# The pose topic
 
 
 BY_TOPIC = ("--topic", "/sonar", "--odometry-topic", "/odom")

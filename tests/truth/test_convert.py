@@ -181,9 +181,6 @@ def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "gt.csv").read_text() == "mine"
 
 
-# Positions and visibility
-
-
 def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     """On the fan's right edge, half of the disc; well outside, nothing; in the middle, all."""
     log = image_folder(tmp_path / "log", frames(2, 300, 560))
@@ -502,9 +499,6 @@ def test_a_track_that_another_tool_numbered_and_a_label_none(tmp_path: Path) -> 
     found = {one["landmark"]: one for one in read_rows(out)}
     assert [*found["2"].values()] == ["1", "2", "73.00", "100.00", "0.500", "5"]
     assert found["none"]["x_px"] == "90.00"
-
-
-# Faults
 
 
 def test_faults_of_truth_are_told_and_nothing_is_overwritten(tmp_path: Path) -> None:

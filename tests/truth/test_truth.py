@@ -55,9 +55,6 @@ def matched(case: Path, tolerance_s: float | None = None) -> Truth:
     return match_truth(read_truth(case / "gt.csv"), read_log(case / "out"), tolerance_s)
 
 
-# Reading
-
-
 def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark,range_m,bearing_deg,x_px,y_px\n0,1,,,50,60\n")
     table = read_truth(case / "gt.csv")
@@ -68,9 +65,6 @@ def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
 def test_position_is_metres_in_the_fan_plane(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2.0,30.0\n")
     np.testing.assert_allclose(matched(case).position, [[1.0, 3**0.5]])
-
-
-# Matching by time
 
 
 def stamps(case: Path, *times_ms: int) -> None:
@@ -94,9 +88,6 @@ def test_time_matching_against_brute_force(case: Path) -> None:
     truth = matched(case, 0.03)
     assert set(truth.frame_index.tolist()) == expected
     assert len(truth.frame_index) == len(expected)
-
-
-# Faults of the truth
 
 
 @pytest.mark.parametrize(
@@ -128,9 +119,6 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
     done = run(case, code=3)
     assert "2 of 3 rows lie" in done.stderr
     assert "protocol paper" in done.stdout
-
-
-# Faults of the results
 
 
 @pytest.mark.parametrize(
