@@ -141,10 +141,9 @@ def test_a_log_in_jet_is_told_and_read_as_its_grey_one(in_grey: int, tmp_path: P
     assert "jet" in note
 
 
-MAPS_IN_TURN = ["jet inferno", "jet rainbow", "rainbow jet", "viridis magma", "magma inferno"]
-
-
-@pytest.mark.parametrize("maps", MAPS_IN_TURN)
+@pytest.mark.parametrize(
+    "maps", ["jet inferno", "jet rainbow", "rainbow jet", "viridis magma", "magma inferno"]
+)
 def test_a_map_that_changes_midway_is_told(maps: str, tmp_path: Path) -> None:
     """The colours of rainbow are among those of jet, in reverse."""
     first, then = maps.split()

@@ -144,6 +144,7 @@ def test_log_time_order(options: dict[str, bool], tmp_path: Path) -> None:
 
 IMAGES = frames(12, 20, 20)
 TIMED = [(k * PERIOD_NS, cdr_image(image)) for k, image in enumerate(IMAGES)]
+Change = Callable[[bytearray, int], None]
 HEAD = 9 + 22  # of a record, of a message
 ALL = list(range(12))
 WITHOUT_SECOND = [0, 1, 2, *range(6, 12)]
@@ -179,8 +180,6 @@ def path(tmp_path: Path) -> Path:
 
 
 # Damage to the second of four chunks
-
-Change = Callable[[bytearray, int], None]
 
 
 def flip(data: bytearray, at: int) -> None:

@@ -25,6 +25,8 @@ from tests.support.logs import PERIOD_NS, Read, frames, image_folder, mcap_file,
 from tests.support.messages import BEAMS, BIN_M, BINS, TILT, log_of, polar_frames, stamp_ns
 from tests.support.rows import read_rows
 
+BEARINGS = tuple(np.linspace(-14, 14, polar_frames(1)[0].shape[1]).tolist())
+
 
 def projected(count: int = 3) -> list[dict[str, Any]]:
     return [messages.projected_fields(k, image) for k, image in enumerate(polar_frames(count))]
@@ -333,9 +335,6 @@ def test_beams_of_a_mounting_that_leans(axis: str, angle_deg: float, tmp_path: P
 
 
 # How a log is read is decided once: `settle` and `apply` keep nothing between two calls
-
-
-BEARINGS = tuple(np.linspace(-14, 14, polar_frames(1)[0].shape[1]).tolist())
 
 
 def ping(name: str, image: np.ndarray, near_m: float = 1.0) -> StoredFrame:

@@ -30,6 +30,7 @@ from tests.support.messages import serialised
 from tests.support.slow import but_first
 
 HEIGHT = 0.68
+BY_TOPIC = ("--topic", "/sonar", "--odometry-topic", "/odom")
 
 
 def table_of(folder: Path, text: str) -> PoseTable:
@@ -50,13 +51,10 @@ def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float
     return range_m, math.degrees(math.atan2(x - at_x, y - at_y)) - yaw
 
 
-pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
-
-
 @settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
-    before=pose,
+    before=st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)),
     turn=st.floats(-25, 25),
     carried=st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)),
     range_m=st.floats(1.6, 3.4),
@@ -105,10 +103,7 @@ def test_without_x_and_y_the_sonar_only_turns(tmp_path):
     assert table.motion(0, 1_000_000_000) == Motion(-3.0, 0.0, 0.0)
 
 
-EPOCH = 1_763_700_000
-
-
-@pytest.mark.parametrize("start", [0, EPOCH])
+@pytest.mark.parametrize("start", [0, 1_763_700_000])
 @pytest.mark.parametrize(
     ("column", "unit"), [("timestamp", 1), ("timestamp", 10**9), ("timestamp_ns", 10**9)]
 )
@@ -200,14 +195,11 @@ def test_a_table_that_cannot_be_used(tmp_path, text, fault):
         table_of(tmp_path, text)
 
 
-angle = st.floats(-1.3, 1.3)
-
-
 @settings(max_examples=30)
 @given(
     yaw=st.floats(-math.pi, math.pi),
-    pitch=angle,
-    roll=angle,
+    pitch=st.floats(-1.3, 1.3),
+    roll=st.floats(-1.3, 1.3),
     moved=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-50, 50)),
     length=st.sampled_from([1.0, -1.0, 1e-200, 3.0]),
 )
@@ -234,9 +226,6 @@ def test_tum_poses_head_along_their_x_axis(tmp_path_factory, yaw, pitch, roll, m
     # Positions of a map are in the file's own axes.
     place = table.position(int(table.time_ns[1]), 0.0, 1.0)
     assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
-
-
-BY_TOPIC = ("--topic", "/sonar", "--odometry-topic", "/odom")
 
 
 def pose_log(

@@ -43,6 +43,7 @@ from tests.support.sonar_files import (
     oculus_ping,
 )
 
+PING = oculus_ping(0, frames(1)[0])
 Maker = Callable[[Path, list[np.ndarray]], Path]
 
 
@@ -365,9 +366,6 @@ def test_decoders_are_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     with pytest.raises(SonarrecError):
         read(tmp_path / "junk.avi", sonar_file=log / "sonar.toml")
     assert capfd.readouterr().err == ""
-
-
-PING = oculus_ping(0, frames(1)[0])
 
 
 @pytest.mark.parametrize(
