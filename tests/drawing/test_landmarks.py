@@ -25,7 +25,6 @@ def ids(*sectors: tuple[int, ...]) -> dict[str, Any]:
 
 
 def test_as_drawn_it_is_the_share_of_the_sectors() -> None:
-    """Against the definition, over every rotation by whole sectors."""
     rows = [(1, 0, 0, 0, 0, 0), (1, 1, 0, 1, 0, 0), (1, 1, 1, 1, 1, 0), (1, 0, 1, 0, 1, 0)]
     found = distances(landmarks_from_table(ids(*rows), "here"), 0.0)
     assert len(found) == 6
@@ -49,10 +48,9 @@ def test_wide_beams_bring_ids_together() -> None:
 def test_a_set_that_is_hard_to_recognise_is_told(tmp_path: Path) -> None:
     file = tmp_path / "set.toml"
     file.write_text(tomli_w.dumps(ids((1,) * 3 + (0,) * 9, (1,) * 4 + (0,) * 8)))
-    warning = "IDs 1 and 2 differ in less than an eighth"
-    told = sonarrec("landmarks", file, "--distance", "2.5", "--beam-width", "0.5")
-    assert warning in told.stderr
-    assert told.stderr.count("note: ") == 1
+    told = sonarrec("landmarks", file, "--distance", "2.5", "--beam-width", "0.5").stderr
+    assert "IDs 1 and 2" in told
+    assert told.count("note: ") == 1
 
 
 def test_the_built_in_set_is_drawn(tmp_path: Path) -> None:

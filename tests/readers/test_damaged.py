@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from sonarrec.errors import SonarrecError
-from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.sonar.frame import Frame
+from tests.support import logs
 from tests.support.bags import bag, messages, ros1_bag
 from tests.support.command import sonarrec
-from tests.support.logs import SONAR_TOML, frames, mcap_file, video_file
-from tests.support.sonar_files import aris_file, didson_file, gemini_log, gemini_record, oculus_ping
+from tests.support.logs import SONAR_TOML, frames, image_mcap, video_file
+from tests.support.sonar_files import aris_file, didson_file, gemini_file, oculus_file
 
 IMAGES = frames(10, 64, 48)
 IMAGES_OF_96 = frames(10, 64, 96)
@@ -23,20 +23,8 @@ Make = Callable[[Path], Path]
 
 
 def mcap(compression: str, chunked: bool = True) -> Make:
-    timed = [("/a", *message) for message in messages(IMAGES)]
-    return lambda path: mcap_file(
-        path / "log.mcap", timed, compression=compression, chunked=chunked, chunk_size=10_000
-    )
-
-
-def database(path: Path) -> Path:
-    return bag(path / "log", messages(IMAGES)) / "log.db3"
-
-
-def oculus(path: Path) -> Path:
-    file = path / "log.raw"
-    file.write_bytes(b"".join(oculus_ping(k, image) for k, image in enumerate(IMAGES)))
-    return file
+    how = {"compression": compression, "chunked": chunked, "chunk_size": 10_000}
+    return lambda path: image_mcap(path / "log.mcap", IMAGES, **how)
 
 
 CORPUS: dict[str, Make] = {
@@ -44,13 +32,11 @@ CORPUS: dict[str, Make] = {
     "mcap, lz4": mcap("lz4"),
     "mcap, zstd": mcap("zstd"),
     "mcap, no chunks": mcap("none", chunked=False),
-    "db3": database,
+    "db3": lambda path: bag(path / "log", messages(IMAGES)) / "log.db3",
     "bag": lambda path: ros1_bag(path / "log.bag", IMAGES, "BZ2"),
     "aris": lambda path: aris_file(path / "log.aris", IMAGES),
-    "oculus": oculus,
-    "gemini": lambda path: gemini_log(
-        path / "log.glf", [gemini_record(k, image) for k, image in enumerate(IMAGES)]
-    ),
+    "oculus": lambda path: oculus_file(path / "log.raw", IMAGES),
+    "gemini": lambda path: gemini_file(path / "log.glf", IMAGES),
     "didson": lambda path: didson_file(path / "log.ddf", IMAGES_OF_96, 4),
     "avi": lambda path: video_file(path / "log.avi", IMAGES, "MJPG"),
     "mkv": lambda path: video_file(path / "log.mkv", IMAGES, "FFV1"),
@@ -64,21 +50,19 @@ def made(make: Make, folder: Path) -> tuple[Path, list[Frame]]:
     path = make(folder)
     text = "[sonar]\ntilt_deg = 20.0\n" if path.suffix in POLAR else SONAR_TOML
     (path.parent / "sonar.toml").write_text(text)
-    with open_log(path) as log:
-        whole = list(log)
+    whole, problems, _ = logs.read(path)
     assert len(whole) == len(IMAGES)
-    assert not log.diagnostics.problems
+    assert not problems
     return path, whole
 
 
 def read(path: Path) -> tuple[list[Frame], list[str]]:
     """The frames, and what is told of the others; of a Matroska, which counts none, in a note."""
     try:
-        with open_log(path) as log:
-            found, told = list(log), log.diagnostics
+        found, problems, notes = logs.read(path)
     except SonarrecError as error:
         return [], [str(error)]
-    return found, [*told.problems, *(note for note in told.notes if " read: " in note)]
+    return found, [*problems, *(note for note in notes if " read: " in note)]
 
 
 @pytest.mark.parametrize("make", CORPUS.values(), ids=CORPUS)
@@ -137,9 +121,7 @@ def test_a_changed_file_is_told_or_reads_as_before(make: Make, tmp_path: Path) -
 
 @pytest.mark.parametrize("kind", ["aris", "didson", "oculus"])
 @pytest.mark.parametrize("lost", [100, 900, -700])
-def test_lost_or_strange_bytes_cost_the_frames_they_lie_in(
-    kind: str, lost: int, tmp_path: Path
-) -> None:
+def test_lost_or_strange_bytes_cost_their_frames(kind: str, lost: int, tmp_path: Path) -> None:
     """Reading goes on at the next header; every other frame keeps its image and its time."""
     path, whole = made(CORPUS[kind], tmp_path)
     data, before = path.read_bytes(), {frame.timestamp_ns: frame.image for frame in whole}
@@ -159,20 +141,17 @@ def test_lost_or_strange_bytes_cost_the_frames_they_lie_in(
 def test_a_video_damaged_inside_is_told(ending: str, codec: str, tmp_path: Path) -> None:
     """Its decoder yields as many pictures as ever, some of them wrong."""
     path = video_file(tmp_path / f"log.{ending}", frames(12, 192, 152), codec)
-    with open_log(path) as whole:
-        assert len(list(whole)) == 12
-        assert whole.diagnostics.problems == []
+    whole, problems, _ = logs.read(path)
+    assert (len(whole), problems) == (12, [])
     data = bytearray(path.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 300] = bytes(300)
     path.write_bytes(data)
-    with open_log(path) as damaged:
-        list(damaged)
-        assert any("damaged inside" in line for line in damaged.diagnostics.problems)
+    assert any("damaged inside" in line for line in logs.read(path).problems)
 
 
 def test_an_mp4_that_was_not_finished_is_told(tmp_path: Path) -> None:
     path = video_file(tmp_path / "log.mp4", frames(12), "mp4v")
     data = path.read_bytes()
     path.write_bytes(data[: data.index(b"moov") - 4])
-    with pytest.raises(SonarrecError, match="moov"), open_log(path):
-        pass
+    with pytest.raises(SonarrecError, match="moov"):
+        logs.read(path)

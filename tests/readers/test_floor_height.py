@@ -16,14 +16,15 @@ import pytest
 from sonarrec.readers import open_log
 from sonarrec.readers.decode.height import LEAST, height_from_images
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import Scene, load_scene, scene_fan
+from sonarrec.simulation.scene import load_scene, scene_fan
 from sonarrec.sonar.frame import Fan
 from sonarrec.sonar.geometry import floor_depth
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.drawn import make_fan
+from tests.support.logs import read
 from tests.support.slow import but_first
 
-SAMPLES = Path(__file__).parents[2] / "sample_data"
+SAMPLES = SAMPLE.parent
 # Nearest and farthest range (m), tilt (deg) and height (m).
 WINDOWS = [
     (1.25, 3.75, 20, 0.68),
@@ -36,29 +37,18 @@ WINDOWS = [
 ]
 
 
-def bare_floor(low: float, high: float, tilt: float, height: float) -> Scene:
-    scene = load_scene("sample_pan")
-    sonar = replace(
-        scene.sonar,
-        range_min_m=low,
-        range_max_m=high,
-        tilt_deg=float(tilt),
-        height_m=height,
-        tilt_error_deg=0.0,
-        range_bins=300,
-    )
-    return replace(scene, frames=2, sonar=sonar, landmarks=(), objects=())
-
-
-@pytest.mark.parametrize("window", WINDOWS)
-def test_of_a_bare_floor(window: tuple[float, float, float, float]) -> None:
+@pytest.mark.parametrize(("low", "high", "tilt", "height"), WINDOWS)
+def test_of_a_bare_floor(low: float, high: float, tilt: float, height: float) -> None:
     """A height that is wrong by a fifth loses no landmark."""
-    scene = bare_floor(*window)
+    scene = load_scene("sample_pan")
+    stated = {"range_min_m": low, "range_max_m": high, "tilt_deg": float(tilt), "height_m": height}
+    sonar = replace(scene.sonar, **stated, tilt_error_deg=0.0, range_bins=300)
+    scene = replace(scene, frames=2, sonar=sonar, landmarks=(), objects=())
     fan = replace(scene_fan(scene), height_m=None)
     found = height_from_images([frame.image for frame in render(scene)], fan)
-    assert found == pytest.approx(window[3], rel=0.2)
-    if window[1] >= 6:  # windows much longer than the floor that is seen
-        assert floor_depth(fan) > 1.5 * window[3]
+    assert found == pytest.approx(height, rel=0.2)
+    if high >= 6:  # windows much longer than the floor that is seen
+        assert floor_depth(fan) > 1.5 * height
 
 
 def floor_from(fan: Fan, begins_m: float, before: int = 0) -> np.ndarray:
@@ -81,10 +71,9 @@ def test_the_floor_begins_under_the_beams_lower_edge(begins_m: float) -> None:
 def test_the_bounds() -> None:
     fan = make_fan(range_min_m=0.2, range_max_m=5.2, height_m=None)
     mid_window = floor_depth(fan)
-    assert height_from_images([floor_from(fan, 0.0)], fan) == pytest.approx(
-        LEAST * mid_window, rel=0.01
-    )
-    assert height_from_images([floor_from(fan, 4.5)], fan) == pytest.approx(mid_window, rel=0.01)
+    for begins_m, expected in ((0.0, LEAST * mid_window), (4.5, mid_window)):
+        found = height_from_images([floor_from(fan, begins_m)], fan)
+        assert found == pytest.approx(expected, rel=0.01)
     # A bright spot before the floor, of a fish or a cable, is not its beginning.
     floor = floor_from(fan, 1.7)
     spot = cv2.circle(floor.copy(), (fan.columns // 2, fan.rows - 60), 5, 200, -1)
@@ -100,22 +89,17 @@ def test_black_images_tell_nothing() -> None:
 
 @pytest.mark.parametrize("name", but_first(["polar", "pan"]))
 def test_a_log_without_its_height(name: str, tmp_path: Path) -> None:
-    """Every frame has the height, run.toml too, and a run by it gives the same again."""
     log = tmp_path / name
     shutil.copytree(SAMPLES / name, log)
     text = (log / "sonar.toml").read_text()
     (log / "sonar.toml").write_text(re.sub(r"height_m.*", "", text))
     with open_log(SAMPLES / name) as opened:
         truth = opened.sonar.height_m
-    with open_log(log) as opened:
-        heights = {frame.fan.height_m for frame in opened}
-        assert opened.sonar.height_m is None
-    (height,) = heights
+    (height,) = {frame.fan.height_m for frame in read(log).frames}
     assert height == pytest.approx(truth, rel=0.2)
-    words = ("-q", "--frames", "40:60")
-    sonarrec("run", log, "-o", tmp_path / "a", *words)
-    sonarrec("run", log, "--config", tmp_path / "a" / name / "run.toml", "-o", tmp_path / "b", "-q")
     first, second = (tmp_path / out / name for out in "ab")
+    sonarrec("run", log, "-o", tmp_path / "a", "-q", "--frames", "40:50")
+    sonarrec("run", log, "--config", first / "run.toml", "-o", tmp_path / "b", "-q")
     assert (first / "estimates.csv").read_bytes() == (second / "estimates.csv").read_bytes()
     tables = tomllib.loads((first / "run.toml").read_text())
     assert tables["fan"]["height_m"] == height

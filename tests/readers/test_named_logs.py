@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import shutil
 from pathlib import Path
@@ -14,24 +13,22 @@ from sonarrec.readers.named_logs import log_arguments, logs_named
 from sonarrec.readers.open import companion, find_log
 from sonarrec.runs.one import result_names
 from tests.support.bags import bag, messages, split_bag
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.locked import locked
-from tests.support.logs import SONAR_TOML, frames, image_folder, mcap_file
+from tests.support.logs import SONAR_TOML, frames, image_folder, image_mcap
+from tests.support.rows import read_rows
 
-SAMPLE = Path(__file__).parents[2] / "sample_data"
 IMAGES = frames(3)
 
 
 def recording(path: Path) -> Path:
-    """An MCAP without a geometry beside it."""
-    mcap_file(path, [("/sonar", *each) for each in messages(IMAGES)])
+    image_mcap(path, IMAGES)
     (path.parent / "sonar.toml").unlink()
     return path
 
 
 @pytest.fixture
 def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Logs of all kinds in folders."""
     monkeypatch.chdir(tmp_path)
     top = Path("campaign")
     for name in ("dive10.mcap", "dive2.mcap", "day1/a.mcap", "day2/a.mcap"):
@@ -80,7 +77,7 @@ def test_folders_globs_and_lists() -> None:
     with pytest.raises(UsageError, match="--from-file"):
         log_arguments([], ["# nothing"])
     with pytest.raises(UsageError, match="2 images"):
-        log_arguments([str(SAMPLE / "pan" / f"00000{n}.png") for n in (0, 1)], [])
+        log_arguments([str(SAMPLE / f"00000{n}.png") for n in (0, 1)], [])
     assert "--from-file LIST" in sonarrec("run", code=2).stderr
 
 
@@ -100,20 +97,18 @@ def test_linked_folders(campaign: Path) -> None:
     recording(campaign.parent / "disk" / "deep" / "b.mcap")
     (campaign.parent / "disk" / "again").symlink_to("deep")
     (campaign.parent / "disk" / "back").symlink_to(Path("..", "campaign"))
-    links = {
-        "day1/far": "../../disk", "all": "../disk", "day0": "day2", "up": "..", "self": ".",
-        "day1/hidden": ".hidden",
-    }  # fmt: skip
-    for link, to in links.items():
-        (campaign / link).symlink_to(to)
+    for link in (
+        *("day1/far ../../disk", "all ../disk", "day0 day2", "up ..", "self ."),
+        "day1/hidden .hidden",
+    ):
+        name, to = link.split()
+        (campaign / name).symlink_to(to)
     found = named("campaign", recursive=True)
-    assert set(everything) < set(found)
-    assert set(found) - set(everything) == {"day1/far/deep/b.mcap", "day1/hidden"}
-    assert len(found) == len(everything) + 2
+    assert sorted(found) == sorted([*everything, "day1/far/deep/b.mcap", "day1/hidden"])
 
 
 def test_images_and_logs_in_one_folder(campaign: Path) -> None:
-    shutil.copy(SAMPLE / "pan" / "000000.png", campaign / "map.png")
+    shutil.copy(SAMPLE / "000000.png", campaign / "map.png")
     told = sonarrec("run", campaign, code=2).stderr
     assert "logs (2, dive2.mcap" in told
     assert "'campaign/*.png' or 'campaign/*.mcap'" in told
@@ -132,7 +127,7 @@ def test_a_folder_that_cannot_be_read_costs_its_own_logs(words: str, campaign: P
     with locked(campaign / "locked"):
         told = sonarrec("run", *words.split(), "-j", "1", code=3)
     assert all(name in told.stdout for name in ("dive2", "dive10"))
-    line = r"^sonarrec: campaign/locked(/a\.mcap)?: cannot be read \(Permission denied\)$"
+    line = r"^sonarrec: campaign/locked(/a\.mcap)?: .*Permission denied"
     assert len(re.findall(line, told.stderr, re.MULTILINE)) == 2  # as it ends, and below the table
 
 
@@ -146,7 +141,7 @@ def test_a_list_from_standard_input(campaign: Path) -> None:
 def test_poses_beside_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("pan.mcap", "pan.sonar.toml"):
-        shutil.copy(SAMPLE / name, ".")
+        shutil.copy(SAMPLE.parent / name, ".")
     Path("table.csv").write_text("timestamp,yaw\n0,-16\n16,16\n32,-16\n")
     log = ("pan.mcap", "--frames", ":30")
     sonarrec("run", *log, "--odometry", "table.csv", "-o", "given")
@@ -154,15 +149,11 @@ def test_poses_beside_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     shutil.copy("table.csv", "pan.poses.csv")
     told = sonarrec("run", *log, "-o", "found")
     assert "pan.poses.csv" in told.stderr
-    given, found, none = (
-        Path(out, "pan", "estimates.csv").read_bytes() for out in ("given", "found", "none")
-    )
-    assert given == found != none
     again = sonarrec("run", *log, "--config", "none/pan/run.toml", "-o", "again")
     assert "poses" not in again.stderr, "a run that had none has none when it is repeated"
-    assert (
-        Path("again/pan/estimates.csv").read_bytes() == Path("none/pan/estimates.csv").read_bytes()
-    )
+    outs = ("given", "found", "none", "again")
+    given, found, none, repeated = (Path(o, "pan", "estimates.csv").read_bytes() for o in outs)
+    assert given == found != none == repeated
 
 
 def test_companions(tmp_path: Path) -> None:
@@ -206,9 +197,7 @@ def test_names_of_results(campaign: Path) -> None:
 
 
 @pytest.mark.parametrize("given", ["dives", "dives/*.mcap", "dives/**/*.mcap"])
-def test_a_link_to_nothing_is_a_log_that_fails(
-    given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_links_to_nothing_fail(given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Passed over unsaid, its log would be missing and nobody would know."""
     monkeypatch.chdir(tmp_path)
     for name in ("a", "c"):
@@ -218,13 +207,10 @@ def test_a_link_to_nothing_is_a_log_that_fails(
     Path("dives", "notes.txt").symlink_to("gone.txt")  # not of a log's ending
     assert [log.path for log in logs_named(given)] == [f"dives/{x}.mcap" for x in "abc"]
     told = sonarrec("run", given, "-j", "1", code=3)
-    line = "dives/b.mcap: a link to a file that is not there"
+    rows = read_rows(Path("sonarrec_out", "logs.csv"))
+    assert [(row["log"], row["status"]) for row in rows] == [
+        *(("a", "done"), ("b", "failed"), ("c", "done"))
+    ]
+    line = rows[1]["message"]
+    assert line.startswith("dives/b.mcap: a link")
     assert told.stderr.count(line) == 2  # as it ends, and below the table
-    with Path("sonarrec_out", "logs.csv").open(newline="", encoding="utf-8") as file:
-        states = {row["log"]: (row["status"], row["message"]) for row in csv.DictReader(file)}
-    assert {log: state for log, (state, _) in states.items()} == {
-        "a": "done",
-        "b": "failed",
-        "c": "done",
-    }
-    assert states["b"][1] == line

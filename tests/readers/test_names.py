@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.cli import main
-from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import ImagePaths
 from sonarrec.readers.containers.times_in_names import times_in_names
 from sonarrec.tables import natural_order
-from tests.support.logs import frames, image_folder
+from tests.support.command import sonarrec
+from tests.support.logs import frames, image_folder, read
 
 MOMENT = datetime(2026, 11, 20, 10, 0, 0, 250_000, UTC)
 MOMENT_NS = 1_795_168_800_250_000_000  # by `date --date=2026-11-20T10:00:00.25Z +%s%N`
-ISO = ["%Y-%m-%d_%H-%M-%S.%f", "%Y%m%dT%H%M%S.%fZ", "frame17_%Y-%m-%d %H:%M:%S,%f_left"]
 CERTAIN: dict[str, Callable[[int], str]] = {
     "counter": lambda k: f"frame{k}",
     "padded counter": lambda k: f"img-{k + 9950:04d}",
@@ -44,14 +42,6 @@ GUESSES: dict[str, Callable[[int], str]] = {
     "folders": lambda k: f"scan{k // 9}_{k % 9}",
     "letters": lambda k: f"{k // 2}{'ab'[k % 2]}",
 }
-
-
-@pytest.mark.parametrize("form", ISO)
-def test_dates(form: str) -> None:
-    steps = [timedelta(seconds=k / 4) for k in range(3)]
-    found = times_in_names([(MOMENT + step).strftime(form) for step in steps])
-    assert found is not None
-    assert found.ns.tolist() == [MOMENT_NS + k * 250_000_000 for k in range(3)]
 
 
 @given(st.lists(st.integers(11 * 10**17, 2 * 10**18 - 1), min_size=1, max_size=9, unique=True))
@@ -99,6 +89,7 @@ DECIMALS = [".%f", ",%f", "_%f", "-%fZ", " %f+0000", ".%f_left", "_%f_%%s"]
 STYLES = [
     DATES[k % 8] + BETWEEN[k % 5] + CLOCKS[k % 7] + DECIMALS[(k // 8 + k) % 7] for k in range(70)
 ]
+STYLES.append("frame17_%Y-%m-%d %H:%M:%S,%f_left")
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -109,9 +100,8 @@ def test_times_written_by_strftime_are_read_back(style: str, step_ms: int) -> No
     stems = sorted((m.strftime(style) for m in moments), key=natural_order)
     found = times_in_names(stems)
     assert found is not None
-    expected = [
-        (m - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) for m in moments
-    ]
+    epoch = datetime(1970, 1, 1, tzinfo=UTC)
+    expected = [(m - epoch) // timedelta(microseconds=1) for m in moments]
     assert (found.ns[found.order] // 1000).tolist() == expected
 
 
@@ -147,49 +137,32 @@ def test_a_counter_gives_the_order_where_the_clock_was_set_back() -> None:
     assert found.order.tolist() == list(range(90))
 
 
-def test_a_date_that_is_not_read_is_told(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k in range(3):
-        (log / f"frame{k}.png").rename(log / f"20261120_{k:03d}.png")
-    with open_log(log) as opened:
-        assert any("20261120" in note and "not read" in note for note in opened.diagnostics.notes)
-
-
-def ordered(stems: list[str]) -> tuple[bool, str | None]:
-    """Whether names in disorder come back, and why that is a guess; None where they hold times."""
-    paths = [f"/9/log.7/{stem}.png" for stem in stems]
+@pytest.mark.parametrize("form", [*CERTAIN, *GUESSES])
+def test_names_in_disorder_come_back_or_are_told_to_be_a_guess(form: str) -> None:
+    paths = [f"/9/log.7/{(CERTAIN | GUESSES)[form](k)}.png" for k in range(90)]
     found = ImagePaths(map(Path, random.Random(1).sample(paths, len(paths))))
-    return [*map(str, found)] == paths, found.doubt
-
-
-@pytest.mark.parametrize("form", CERTAIN)
-def test_certain_forms(form: str) -> None:
-    assert ordered([CERTAIN[form](k) for k in range(90)]) == (True, None)
-
-
-@pytest.mark.parametrize("form", GUESSES)
-def test_guesses_are_told(form: str) -> None:
-    _, doubt = ordered([GUESSES[form](k) for k in range(90)])
-    assert doubt
+    if form in CERTAIN:
+        assert ([*map(str, found)], found.doubt) == (paths, None)
+    else:
+        assert found.doubt
 
 
 def test_frames_have_the_times_of_their_names(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k in range(3):
-        (log / f"frame{k}.png").rename(log / f"ping_20261120_10000{k}.25.png")
-    with open_log(log) as opened:
-        times = [frame.timestamp_ns for frame in opened]
-        (note,) = opened.diagnostics.notes
-    assert [time - MOMENT_NS for time in times] == [0, 10**9, 2 * 10**9]
+    names = [f"ping_20261120_10000{k}.25.png" for k in range(3)]
+    log = image_folder(tmp_path / "log", frames(3, 20, 20), names=names)
+    found = read(log)
+    assert [time - MOMENT_NS for time in found.times] == [0, 10**9, 2 * 10**9]
+    (note,) = found.notes
     assert "2026-11-20 10:00:00.250 UTC" in note
-    told = CliRunner().invoke(main, ["info", str(log)]).output
-    assert "  recorded  2026-11-20 10:00:00 UTC, 2.0 s long\n" in told
+    assert "2026-11-20 10:00:00 UTC, 2.0 s long\n" in sonarrec("info", log).output
 
 
-def test_one_note_tells_a_guess(tmp_path: Path) -> None:
-    log = image_folder(tmp_path / "log", frames(3, 20, 20))
-    for k, name in enumerate(("left", "right1", "right2")):
-        (log / f"frame{k}.png").rename(log / f"{name}.png")
-    with open_log(log) as opened:
-        (note,) = opened.diagnostics.notes
-    assert "right2.png" in note
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [("left right1 right2", "right2.png"), ("20261120_000 20261120_001", "not read .*20261120")],
+)
+def test_one_note_tells_a_guess(names: str, told: str, tmp_path: Path) -> None:
+    files = [f"{name}.png" for name in names.split()]
+    images = frames(len(files), 20, 20)
+    (note,) = read(image_folder(tmp_path / "log", images, names=files)).notes
+    assert re.search(told, note)

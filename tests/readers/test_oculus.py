@@ -10,29 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sonarrec.errors import SonarrecError
-from sonarrec.readers import open_log
+from sonarrec.readers.info import describe
 from sonarrec.readers.open import find_log
-from sonarrec.sonar.frame import Frame
 from tests.readers.test_ddf import as_fan
 from tests.support import logs
 from tests.support.command import sonarrec
 from tests.support.logs import frames
-from tests.support.sonar_files import oculus_log, oculus_message, oculus_ping
+from tests.support.sonar_files import oculus_file, oculus_log, oculus_message, oculus_ping
 
 VENDOR = Path(__file__).parents[3] / "shared" / "data" / "vendor"
-TILT = {"tilt_deg": 20.0}
 IMAGES = frames(6, 64, 40)
 PINGS = [oculus_ping(k, image) for k, image in enumerate(IMAGES)]
 
 
-def read(path: Path, **sonar: Any) -> tuple[list[Frame], list[str]]:
-    return logs.read(path, sonar=TILT | sonar)
-
-
-def written(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
+def read(path: Path, data: bytes | None = None, **sonar: Any) -> logs.Read:
+    """A log, which has first to be written where there is data."""
+    if data is not None:
+        path.write_bytes(data)
+    return logs.read(path, sonar={"tilt_deg": 20.0} | sonar)
 
 
 def header_of(path: Path) -> dict[str, Any]:
@@ -43,12 +38,7 @@ def header_of(path: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
-    """The fan images of IMAGES."""
-    path = written(tmp_path_factory.mktemp("whole") / "whole.raw", b"".join(PINGS))
-    return [frame.image for frame in read(path)[0]]
-
-
-# The real pings
+    return read(tmp_path_factory.mktemp("whole") / "whole.raw", b"".join(PINGS)).images
 
 
 @pytest.mark.parametrize("name", ["oculus_one_ping_8bit.raw", "oculus_three_pings_8bit.raw"])
@@ -57,7 +47,7 @@ def test_real_pings(name: str, tmp_path: Path) -> None:
         pytest.skip(f"no real pings at {VENDOR / name}")
     data = (VENDOR / name).read_bytes()
     count = len(data) // 182016
-    found, problems = read(VENDOR / name)
+    found, problems, _ = read(VENDOR / name)
     assert (len(found), problems) == (count, [])
     # Field by field, as the free drivers' definition has them one after another.
     at = 182016 * (count - 1)
@@ -70,11 +60,9 @@ def test_real_pings(name: str, tmp_path: Path) -> None:
     )  # fmt: skip
     assert (kind, size, total) == (0, ranges * beams, 182016)
     bearings = np.frombuffer(data, "<i2", beams, at + 122) / 100
-    with open_log(VENDOR / name, sonar=TILT) as log:
-        next(iter(log))
-        sonar = log.sonar
-    assert sonar.bearings_deg == tuple(bearings)
-    assert sonar.range_max_m == pytest.approx(ranges * resolution)
+    (images,) = describe(VENDOR / name).images
+    assert images.geometry["bearings_deg"] == [*bearings]
+    assert images.geometry["range_max_m"] == pytest.approx(ranges * resolution)
     assert range_m - resolution < ranges * resolution <= range_m  # as far as was asked for
     assert flags & 1
     header = header_of(VENDOR / name)
@@ -87,19 +75,14 @@ def test_real_pings(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found[-1].image, expected[0])
 
 
-# Written pings
-
-
 @pytest.mark.parametrize("version", [0, 1, 2])
 def test_both_versions(version: int, tmp_path: Path, whole: list[np.ndarray]) -> None:
-    pings = [oculus_ping(k, image, version=version) for k, image in enumerate(IMAGES)]
-    path = written(tmp_path / "a.raw", b"".join(pings))
-    found, problems = read(path, frame_rate_hz=8.0)
-    assert problems == []
-    for k, frame in enumerate(found):
-        np.testing.assert_array_equal(frame.image, whole[k])
-        start = 100.0 if version == 2 else 0  # the first version's start has no known unit
-        assert frame.timestamp_ns == round((start + k / 8) * 1e9)
+    path = oculus_file(tmp_path / "a.raw", IMAGES, version=version)
+    found = read(path, frame_rate_hz=8.0)
+    assert not found.problems
+    np.testing.assert_array_equal(found.images, whole)
+    start = 100.0 if version == 2 else 0  # the first version's start has no known unit
+    assert found.times == [round((start + k / 8) * 1e9) for k in range(6)]
     header = header_of(path)
     assert header["sound_speed_m_s"] == 1490
     assert (header["temperature_c"], header["pressure_bar"]) == (11.5, 1.75)
@@ -112,10 +95,7 @@ def test_samples_of_16_bit_and_gains(tmp_path: Path) -> None:
     echoes = rng.rayleigh(200, (64, 40)).round().astype("<u2")
     gains = rng.integers(1, 40, 64) ** 2
     sent = (echoes * np.sqrt(gains)[:, None]).astype("<u2")
-    with open_log(
-        written(tmp_path / "a.raw", oculus_ping(0, sent, gains=gains)), sonar=TILT
-    ) as log:
-        (frame,) = log
+    (frame,) = read(tmp_path / "a.raw", oculus_ping(0, sent, gains=gains)).frames
     log = find_log(tmp_path / "a.raw").open()
     (raw,) = log
     assert raw.pixels is not None
@@ -123,77 +103,41 @@ def test_samples_of_16_bit_and_gains(tmp_path: Path) -> None:
     np.testing.assert_allclose(raw.pixels, echoes, atol=1)
     assert log.header_info.values["gains_sent"] == "yes"
     assert frame.image.any()
-    (raw,) = find_log(written(tmp_path / "b.raw", oculus_ping(0, echoes))).open()
+    (raw,) = find_log(oculus_file(tmp_path / "b.raw", [echoes])).open()
     np.testing.assert_array_equal(raw.pixels, echoes)
 
 
 @pytest.mark.parametrize("compressed", [False, True])
 def test_a_log_of_viewpoint(compressed: bool, tmp_path: Path, whole: list[np.ndarray]) -> None:
-    path = written(tmp_path / "a.oculus", oculus_log(PINGS, compressed=compressed))
-    found, problems = read(path)
-    assert problems == []
-    assert len(found) == len(IMAGES)
-    for k, frame in enumerate(found):
-        np.testing.assert_array_equal(frame.image, whole[k])
+    found = read(tmp_path / "a.oculus", oculus_log(PINGS, compressed=compressed))
+    assert not found.problems
+    np.testing.assert_array_equal(found.images, whole)
+    for k, frame in enumerate(found.frames):
         assert frame.timestamp_ns == frame.stamps.log == round((1.7e9 + k / 8) * 1e9)
         assert frame.stamps.header == round((100 + k / 8) * 1e9)
 
 
-def test_other_messages_are_passed_over(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    other = [
-        oculus_message(0xFF, b""),
-        oculus_message(0x55, b"settings"),
-        oculus_message(0x15, b"x"),
-    ]
-    data = b"".join([*other, PINGS[0], *other, PINGS[1]])
-    found, problems = read(written(tmp_path / "a.raw", data))
-    assert problems == []
-    np.testing.assert_array_equal([frame.image for frame in found], whole[:2])
-
-
-def test_full_pings_are_told(tmp_path: Path) -> None:
-    full = oculus_message(0x22, bytes(900))
-    _, problems = read(written(tmp_path / "a.raw", PINGS[0] + full + full))
-    assert len(problems) == 1
-    assert "a.raw: 2 pings" in problems[0]
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_a_ping_shorter_than_its_header_costs_itself(
-    version: int, tmp_path: Path, whole: list[np.ndarray]
-) -> None:
-    short = oculus_message(0x23, bytes(60), version=version)
-    found, problems = read(written(tmp_path / "a.raw", PINGS[0] + short + PINGS[1]))
-    np.testing.assert_array_equal([frame.image for frame in found], whole[:2])
-    assert len(problems) == 1
-    assert f"{len(short)} bytes" in problems[0]
-
-
-# Streams that are not whole
-
-
-def test_noise_between_pings_is_told(tmp_path: Path, whole: list[np.ndarray]) -> None:
-    noise = np.random.default_rng(3).bytes(5000)
-    data = noise[:3000] + PINGS[0] + PINGS[1] + noise + PINGS[2]
-    found, problems = read(written(tmp_path / "a.raw", data))
-    np.testing.assert_array_equal([frame.image for frame in found], whole[:3])
-    assert len(problems) == 1
-    assert "a.raw: 8000 bytes in 2 gaps belong" in problems[0]
+KINDS = {0xFF: b"", 0x55: b"settings", 0x15: b"x"}
+OTHERS = b"".join(oculus_message(kind, body) for kind, body in KINDS.items())
+FULL = oculus_message(0x22, bytes(900))
+SHORT = {version: oculus_message(0x23, bytes(60), version=version) for version in (1, 2)}
+NOISE = np.random.default_rng(3).bytes(5000)
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "says"),
+    ("before", "between", "told"),
     [
-        ("a.raw", b"junk" * 9999, "no ping of an Oculus can be read in it"),
-        ("a.raw", b"SO" * 9999, "no ping of an Oculus can be read in it"),
-        ("a.oculus", b"SQLite format 3\0" + bytes(99), "a log of the second ViewPoint"),
-        ("a.oculus", oculus_log(PINGS, encryption=1), "an encrypted log, which is not read"),
-        ("a.oculus", oculus_log([]), "no ping of an Oculus"),
-        ("a.raw", PINGS[0][:900], r"no ping of an Oculus .*\(only 900 bytes of it are there\)"),
+        (OTHERS, OTHERS, None),
+        (b"", FULL + FULL, "a.raw: 2 pings"),
+        *((b"", short, f"{len(short)} bytes") for short in SHORT.values()),
+        (NOISE[:3000], NOISE, "8000 bytes in 2 gaps"),
     ],
+    ids=["other messages", "full pings", "short ping, 1", "short ping, 2", "noise"],
 )
-def test_what_cannot_be_opened(name: str, data: bytes, says: str, tmp_path: Path) -> None:
-    with pytest.raises(SonarrecError, match=says) as caught:
-        read(written(tmp_path / name, data))
-    assert "\n" not in str(caught.value)
-    sonarrec("info", tmp_path / name, code=1)
+def test_what_is_no_ping_costs_no_ping(
+    before: bytes, between: bytes, told: str | None, tmp_path: Path, whole: list[np.ndarray]
+) -> None:
+    found = read(tmp_path / "a.raw", before + PINGS[0] + between + PINGS[1] + PINGS[2])
+    np.testing.assert_array_equal(found.images, whole[:3])
+    assert len(found.problems) == (told is not None)
+    assert all(told in problem for problem in found.problems)

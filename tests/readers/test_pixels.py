@@ -24,8 +24,7 @@ from sonarrec.sonar.geometry import PolarToFan
 from sonarrec.sonar.stated import Sonar, sonar_from_table
 from tests.studies.learning.random_scenes import random_scene
 from tests.support import messages
-from tests.support.logs import PERIOD_NS, cdr_image, frames, mcap_file
-from tests.support.logs import read as read_log
+from tests.support.logs import frames, image_mcap, read
 from tests.support.messages import BEAMS, BEARINGS_DEG, BIN_M, BINS, FIRST_BIN, log_of
 
 
@@ -44,22 +43,21 @@ AMPLITUDES = [
 
 
 def greys(path: Path, **keys: Any) -> list[np.ndarray]:
-    with open_log(path, sonar=Sonar(tilt_deg=20.0, **keys)) as log:
-        found = [frame.image for frame in log]
-        assert log.diagnostics.problems == []
-    return found
+    found = read(path, sonar=Sonar(tilt_deg=20.0, **keys))
+    assert not found.problems
+    return found.images
 
 
-def in_the_fan(images: list[np.ndarray]) -> list[np.ndarray]:
-    sonar = Sonar(
-        layout="polar",
-        range_min_m=FIRST_BIN * BIN_M,
-        range_max_m=(FIRST_BIN + BINS) * BIN_M,
-        bearings_deg=tuple(BEARINGS_DEG.tolist()),
-        tilt_deg=20.0,
-    )
+def off(found: list[np.ndarray], expected: list[np.ndarray]) -> int:
+    """The largest difference; 1 of a value on the edge of rounding."""
+    return int(np.abs(np.array(found, int) - np.array(expected, int)).max())
+
+
+def in_the_fan(levels: np.ndarray) -> list[np.ndarray]:
+    window = (FIRST_BIN * BIN_M, (FIRST_BIN + BINS) * BIN_M)
+    sonar = Sonar("polar", *window, tilt_deg=20.0, bearings_deg=tuple(BEARINGS_DEG.tolist()))
     to_fan = PolarToFan(sonar.complete("test"), BINS, BEAMS)
-    return [to_fan(image) for image in images]
+    return [to_fan(np.rint(np.clip(image, 0, 255)).astype(np.uint8)) for image in levels]
 
 
 @pytest.mark.parametrize("number", [4, 8, 9], ids=["u4", "f4", "f8"])
@@ -69,13 +67,9 @@ def test_amplitudes_become_logarithmic(number: int, tmp_path: Path) -> None:
     dtype = {4: "<u4", 8: "<f4", 9: "<f8"}[number]
     images = [AMPLITUDES[0].astype(dtype), (AMPLITUDES[1] * 10).astype(dtype)]
     full_db = 20 * math.log10(float(np.median(images[0]))) + 50 * 2 / 3
-    expected = [
-        np.clip(255 * (1 + (20 * np.log10(i.astype(float)) - full_db) / 50), 0, 255) for i in images
-    ]
+    levels = 255 * (1 + (20 * np.log10(np.array(images, float)) - full_db) / 50)
     found = greys(floats_log(tmp_path / "log.mcap", images, number))
-    for image, exact in zip(found, in_the_fan([np.rint(e).astype(np.uint8) for e in expected]),
-                            strict=True):  # fmt: skip
-        assert np.abs(image.astype(int) - exact).max() <= 1  # a value on the edge of rounding
+    assert off(found, in_the_fan(levels)) <= 1
     alone = greys(floats_log(tmp_path / "one.mcap", images[:1], number))
     np.testing.assert_array_equal(alone[0], found[0])
 
@@ -83,17 +77,18 @@ def test_amplitudes_become_logarithmic(number: int, tmp_path: Path) -> None:
 def test_the_scale_can_be_stated(tmp_path: Path) -> None:
     path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
     keys = {"pixel_scale": "linear", "full_scale": 200.0}
-    expected = [np.rint(np.minimum(i * 255 / 200, 255)).astype(np.uint8) for i in AMPLITUDES]
-    for image, exact in zip(greys(path, **keys), in_the_fan(expected), strict=True):
-        assert np.abs(image.astype(int) - exact).max() <= 1
+    assert off(greys(path, **keys), in_the_fan(np.array(AMPLITUDES) * 255 / 200)) <= 1
     decibels = floats_log(tmp_path / "db.mcap", [20 * np.log10(i) - 60 for i in AMPLITUDES], 8)
     keys = {"full_scale": 1000.0, "dynamic_range_db": 60.0}
     by_log = greys(path, **keys)
     by_db = greys(decibels, full_scale=0.0, dynamic_range_db=60.0)  # db: some are negative
-    for mine, theirs in zip(by_log, by_db, strict=True):
-        assert np.abs(mine.astype(int) - theirs).max() <= 1
-    with pytest.raises(SonarrecError, match='pixel_scale must be "linear", "log" or "db"'):
+    assert off(by_log, by_db) <= 1
+    with pytest.raises(SonarrecError, match="pixel_scale"):
         sonar_from_table({"pixel_scale": "sqrt"}, "x")
+    with pytest.raises(SonarrecError, match="full_scale = 0"):
+        greys(path, full_scale=0.0)
+    with pytest.raises(SonarrecError, match="dynamic_range_db = -1"):
+        greys(path, dynamic_range_db=-1.0)
 
 
 @pytest.mark.parametrize("mark", [-9999.0, -32768.0, np.finfo(np.float32).min])
@@ -117,16 +112,7 @@ def test_a_blank_first_ping_is_black_and_settles_nothing(tmp_path: Path) -> None
         first, *rest = greys(log)
         assert not first.any()
         whole = greys(floats_log(tmp_path / "whole.mcap", AMPLITUDES, 8))
-        for image, same in zip(rest, whole, strict=True):
-            np.testing.assert_array_equal(image, same)
-
-
-def test_a_full_scale_that_cannot_be_meant(tmp_path: Path) -> None:
-    path = floats_log(tmp_path / "log.mcap", AMPLITUDES, 8)
-    with pytest.raises(SonarrecError, match="full_scale = 0 must"):
-        greys(path, full_scale=0.0)
-    with pytest.raises(SonarrecError, match="dynamic_range_db = -1 must"):
-        greys(path, dynamic_range_db=-1.0)
+        np.testing.assert_array_equal(rest, whole)
 
 
 def grey8(pixels: np.ndarray, sonar: Sonar = Sonar(), amplitudes: bool = False) -> np.ndarray:  # noqa: B008
@@ -149,14 +135,9 @@ def test_grey8() -> None:
     np.testing.assert_array_equal(grey8(floats), [[0, 128, 255, 0]])
     endless = np.array([[0.0, np.inf, 1.0, -np.inf]])  # what is beyond every bound settles none
     np.testing.assert_array_equal(grey8(endless), [[0, 255, 255, 0]])
-    for wrong in (
-        np.zeros((3, 3, 2), np.uint8),
-        np.zeros((0, 3), np.uint8),
-        np.zeros(3, np.uint8),
-        np.zeros((3, 3), np.complex64),
-    ):
+    for shape, kind in (((3, 3, 2), "u1"), ((0, 3), "u1"), ((3,), "u1"), ((3, 3), "c8")):
         with pytest.raises(UnusableError):
-            grey8(wrong, amplitudes=True)
+            grey8(np.zeros(shape, kind), amplitudes=True)
 
 
 def speckle(seed: int, log: bool) -> np.ndarray:
@@ -181,19 +162,11 @@ def test_without_speckle_nothing_is_taken_for_amplitudes():
     assert not holds_amplitudes([])
 
 
-def read(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list[str]]:
+def scale_of(folder: Path, images: list[np.ndarray], **keys: Any) -> tuple[Any, list[str]]:
     """(pixel_scale, notes) of the log of these images."""
     for k, image in enumerate(images):
         cv2.imwrite(str(folder / f"{k}.png"), image)
-    sonar = Sonar(
-        layout="polar",
-        range_min_m=1.0,
-        range_max_m=3.0,
-        field_of_view_deg=28.8,
-        tilt_deg=20.0,
-        **keys,
-    )
-    with open_log(folder, sonar=sonar) as log:
+    with open_log(folder, sonar=Sonar("polar", 1.0, 3.0, 28.8, 20.0, **keys)) as log:
         next(iter(log))
         return log.reading()["pixel_scale"], log.diagnostics.notes
 
@@ -210,27 +183,27 @@ def test_16_bit_amplitudes_are_found_by_their_speckle_and_noted(tmp_path, median
     amplitude = np.where(grey > 0, 10 ** ((grey - 1) * 50 / 20), 0)
     amplitude *= median / np.median(amplitude[amplitude > 0])
     image = np.clip(amplitude * 65535, 0, 65535).astype(np.uint16)
-    scale, notes = read(tmp_path, [image])
+    scale, notes = scale_of(tmp_path, [image])
     assert scale == "log"
-    assert len(notes) == 1
-    assert "16-bit pixels" in notes[0]
-    assert read(tmp_path, [image], pixel_scale="linear") == ("linear", [])
+    (note,) = notes
+    assert "16-bit pixels" in note
+    assert scale_of(tmp_path, [image], pixel_scale="linear") == ("linear", [])
 
 
 @pytest.mark.parametrize("part", [1, 1 / 8])
 def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
     image = np.rint(simulated() * 65535 * part).astype(np.uint16)
-    scale, notes = read(tmp_path, [image])
+    scale, notes = scale_of(tmp_path, [image])
     assert scale == "linear"
     assert len(notes) == (part < 1)
     assert all("--pixel-scale log" in note and "full_scale" in note for note in notes)
-    assert read(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
+    assert scale_of(tmp_path, [image], full_scale=65535 * part) == ("linear", [])
 
 
 @pytest.mark.parametrize("stated", [None, "linear"])
 def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
     images = [speckle(k, log=False) for k in range(3)]
-    scale, notes = read(tmp_path, images, pixel_scale=stated)
+    scale, notes = scale_of(tmp_path, images, pixel_scale=stated)
     assert scale == (stated or "log")
     assert len(notes) == (stated is None)
 
@@ -238,17 +211,12 @@ def test_8_bit_amplitudes_are_noted_and_what_is_stated_wins(tmp_path, stated):
 def test_the_scales_that_the_manual_lists_are_those_taken() -> None:
     page = resources.files("sonarrec").joinpath("help", "geometry.md").read_text("utf-8")
     rows = re.findall(r"^ {4,6}.*?  +(linear|log|db) +(\S.*)$", page, re.MULTILINE)
-    images = [  # in the order of the page, and whether they hold amplitudes
-        (np.full((9, 9), 40, np.uint8), False),
-        (np.full((9, 9), 40, np.uint8), True),
-        (np.full((9, 9), 40000, np.uint16), False),
-        (np.full((9, 9), 40000, np.uint16), True),
-        (np.full((9, 9), 400, np.uint16), False),
-        (np.full((9, 9), 0.4, np.float32), False),
-        (np.full((9, 9), -4, np.float32), False),
-        (np.full((9, 9), 4, np.float32), False),
+    cases = [  # in the order of the page, and whether they hold amplitudes
+        *((40, "u1", False), (40, "u1", True), (40000, "u2", False), (40000, "u2", True)),
+        *((400, "u2", False), (0.4, "f4", False), (-4, "f4", False), (4, "f4", False)),
     ]
-    for (scale, full), (image, amplitudes) in zip(rows, images, strict=True):
+    for (scale, full), (level, kind, amplitudes) in zip(rows, cases, strict=True):
+        image = np.full((9, 9), level, kind)
         taken = grey_scale(Sonar(), image, amplitudes)
         assert taken is not None
         assert taken.pixel_scale == scale
@@ -267,16 +235,13 @@ def test_what_a_pgm_calls_white_is_white(tmp_path: Path, maxval: int, sample: st
         header = b"P5\n# a comment\n%d %d\n%d\n" % (columns, rows, maxval)
         pixels = np.rint(grey * maxval).astype(sample)
         (tmp_path / f"{k}.pgm").write_bytes(header + pixels.tobytes())
-    assert read(tmp_path, []) == ("linear", [])
-    stated = {"layout": "polar", "range_min_m": 1.0, "range_max_m": 3.0, "tilt_deg": 20.0}
+    assert scale_of(tmp_path, []) == ("linear", [])
     for full in (None, 2.0 * maxval):
-        keys = {} if full is None else {"full_scale": full}
-        with open_log(tmp_path, sonar=stated | keys | {"field_of_view_deg": 28.8}) as log:
-            frame = next(iter(log))
+        sonar = Sonar("polar", 1.0, 3.0, 28.8, 20.0, full_scale=full)
+        with open_log(tmp_path, sonar=sonar) as log:
+            brightest = int(next(iter(log)).pixels.max())
             assert log.reading()["full_scale"] == (full or maxval)
-            assert int(frame.pixels.max()) == pytest.approx(
-                grey.max() * (255 / (1 + bool(full))), 1
-            )
+            assert brightest == pytest.approx(grey.max() * (255 / (1 + bool(full))), 1)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +249,6 @@ def test_what_a_pgm_calls_white_is_white(tmp_path: Path, maxval: int, sample: st
     [("JPEG", "L"), *((kind, mode) for kind in ("PNG", "TIFF") for mode in ("L", "RGBA", "I;16"))],
 )
 def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
-    """By all eight EXIF orientations, as Pillow does."""
     grey = np.zeros((24, 40), np.uint8)
     grey[:8], grey[8:16, :8] = 120, 250  # looks otherwise in each of the eight
     picture = Image.fromarray(grey.astype(np.uint16) * 257 if mode == "I;16" else grey)
@@ -298,16 +262,13 @@ def test_an_image_is_turned_as_viewers_turn_it(kind: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize(("share", "as_decibels"), [(0.01, False), (0.2, False), (0.9, True)])
-def test_a_share_of_negative_pixels_decides(
-    share: float, as_decibels: bool, tmp_path: Path
-) -> None:
+def test_the_share_below_0_decides(share: float, as_decibels: bool, tmp_path: Path) -> None:
     """Noise below 0 makes no decibels of amplitudes; and what was assumed is told."""
     rng = np.random.default_rng(0)
     images = [rng.rayleigh(200.0, (48, 38)).astype(np.float32) for _ in range(3)]
     for image in images:
         image[rng.random(image.shape) < share] *= -1
-    stored = [("/s", k * PERIOD_NS, cdr_image(i, "32FC1")) for k, i in enumerate(images)]
-    with open_log(mcap_file(tmp_path / "log.mcap", stored)) as log:
+    with open_log(image_mcap(tmp_path / "log.mcap", images, "32FC1")) as log:
         list(log)
         (note,) = log.diagnostics.notes
         assert log.reading()["pixel_scale"] == ("db" if as_decibels else "log")
@@ -318,23 +279,16 @@ def test_one_pixel_out_of_bounds_costs_no_frame(tmp_path: Path) -> None:
     images = [(image / 255).astype(np.float32) for image in frames(4)]
     images[1][0, 0] = -1e-6
     images[2][:10] = 7
-    stored = [("/s", k * PERIOD_NS, cdr_image(i, "32FC1")) for k, i in enumerate(images)]
-    found, problems = read_log(mcap_file(tmp_path / "log.mcap", stored))
-    assert [frame.index for frame in found] == [0, 1, 3]
-    assert len(problems) == 1
+    found = read(image_mcap(tmp_path / "log.mcap", images, "32FC1"))
+    assert found.numbers == [0, 1, 3]
+    assert len(found.problems) == 1
 
 
 @pytest.mark.parametrize(
     ("values", "kept"),
-    [
-        ([0, 255], np.uint8),
-        ([0, 256], np.uint16),
-        ([0, 65535], np.uint16),
-        ([0, 65536], np.int64),
-        ([-1, 255], np.float32),
-    ],
+    [([0, 255], "u1"), ([0, 256], "u2"), ([0, 65535], "u2"), ([0, 65536], "i8"), ([-1, 255], "f4")],
 )
-def test_integers_of_an_array_are_as_narrow_as_they_can_be(values: list[int], kept: type) -> None:
+def test_integers_of_an_array_are_as_narrow_as_they_can_be(values: list[int], kept: str) -> None:
     file = io.BytesIO()
     np.save(file, np.array([values] * 3, np.int64))
     pixels = decode_image(file.getvalue())

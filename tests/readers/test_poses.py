@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar.frame import Motion
-from sonarrec.sonar.geometry import pose_table
+from sonarrec.sonar.geometry import PoseTable, pose_table
 from tests.support.command import sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
@@ -30,11 +30,18 @@ from tests.support.messages import serialised
 from tests.support.slow import but_first
 
 HEIGHT = 0.68
+BY_TOPIC = ("--topic", "/sonar", "--odometry-topic", "/odom")
 
 
-def rows(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
+def table_of(folder: Path, text: str) -> PoseTable:
+    (folder / "odometry.csv").write_text(text)
+    return read_poses(folder / "odometry.csv")
+
+
+def motion(table: PoseTable, start_ns: int, end_ns: int) -> Motion:
+    found = table.motion(start_ns, end_ns)
+    assert found is not None
+    return found
 
 
 def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float, float]:
@@ -44,49 +51,37 @@ def seen_by(x: float, y: float, pose: tuple[float, float, float]) -> tuple[float
     return range_m, math.degrees(math.atan2(x - at_x, y - at_y)) - yaw
 
 
-# Poses and motions
-
-
-pose = st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6))
-
-
 @settings(max_examples=30)
 @given(
     kind=st.sampled_from(["fan", "floor"]),
-    before=pose,
+    before=st.tuples(st.floats(-170, 170), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)),
     turn=st.floats(-25, 25),
     carried=st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)),
     range_m=st.floats(1.6, 3.4),
     bearing_deg=st.floats(-12, 12),
 )
-def test_a_still_object_appears_where_trigonometry_says(
-    kind, before, turn, carried, range_m, bearing_deg
-):
+def test_a_still_object_moves_by_trigonometry(kind, before, turn, carried, range_m, bearing_deg):
     after = (before[0] + turn, before[1] + carried[0], before[2] + carried[1])
     heading = math.radians(before[0] + bearing_deg)
     ground = math.sqrt(range_m**2 - HEIGHT**2)
     x, y = before[1] + ground * math.sin(heading), before[2] + ground * math.cos(heading)
     columns = np.array([before, after]).T
     table = pose_table("", {}, np.array([0, 10**9]), *columns)
-    motion = table.motion(0, 10**9)
-    assert motion is not None
+    moved = motion(table, 0, 10**9)
     plane = working_plane(kind, make_fan(120, height_m=HEIGHT), 0.15, 10.0)
     first, second = (
         np.stack(plane.from_polar(*(np.array([v]) for v in seen_by(x, y, p))), axis=-1)
         for p in (before, after)
     )
-    np.testing.assert_allclose(plane.moved(first, motion), second, atol=1e-6)
+    np.testing.assert_allclose(plane.moved(first, moved), second, atol=1e-6)
     many = np.broadcast_to(first, (3, 4, 1, 2))
-    assert plane.moved(many, motion).shape == many.shape
+    assert plane.moved(many, moved).shape == many.shape
 
 
 def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
-    table = read_poses(
-        rows(tmp_path / "o.csv", "timestamp,yaw,x,y\n10,350,0,0\n11,4,0,2\n12,4,1,2\n")
-    )
+    table = table_of(tmp_path, "timestamp,yaw,x,y\n10,350,0,0\n11,4,0,2\n12,4,1,2\n")
     # 350 to 4 deg is a turn of 14 to the right, through 357 at half time.
-    half = table.motion(10_000_000_000, 10_500_000_000)
-    assert half is not None
+    half = motion(table, 10_000_000_000, 10_500_000_000)
     assert half.pan_deg == pytest.approx(7)
     # Headed to 350 deg, a metre towards y is ahead and a little to the right.
     assert half.ahead_m == pytest.approx(math.cos(math.radians(10)))
@@ -97,56 +92,43 @@ def test_a_pose_between_two_rows_lies_on_the_line_between_them(tmp_path):
 def test_times_in_iso_8601_are_those_of_a_clock(tmp_path):
     cells = ["2024-05-01T12:00:00Z", "2024-05-01 14:00:00.5+02:00", "2024-05-01T07:00:01-0500"]
     text = "timestamp,yaw\n" + "".join(f"{cell},{n}\n" for n, cell in enumerate(cells))
-    table = read_poses(rows(tmp_path / "o.csv", text))
-    assert table.time_ns.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
-    days = rows(tmp_path / "o.csv", "timestamp,yaw\n2024-05-01T12:00Z,0\n2024-05-02T12:00Z,1\n")
-    assert np.diff(read_poses(days).time_ns).tolist() == [86_400 * 10**9]
+    times = table_of(tmp_path, text).time_ns
+    assert times.tolist() == [1_714_564_800_000_000_000 + n * 500_000_000 for n in range(3)]
+    days = table_of(tmp_path, "timestamp,yaw\n2024-05-01T12:00Z,0\n2024-05-02T12:00Z,1\n")
+    assert np.diff(days.time_ns).tolist() == [86_400 * 10**9]
 
 
 def test_without_x_and_y_the_sonar_only_turns(tmp_path):
-    table = read_poses(rows(tmp_path / "o.csv", "timestamp_ns, yaw\n0, 1\n1000000000, -2\n"))
+    table = table_of(tmp_path, "timestamp_ns, yaw\n0, 1\n1000000000, -2\n")
     assert table.motion(0, 1_000_000_000) == Motion(-3.0, 0.0, 0.0)
 
 
-EPOCH = 1_763_700_000
-
-
-@pytest.mark.parametrize("start", [0, EPOCH])
+@pytest.mark.parametrize("start", [0, 1_763_700_000])
 @pytest.mark.parametrize(
     ("column", "unit"), [("timestamp", 1), ("timestamp", 10**9), ("timestamp_ns", 10**9)]
 )
 def test_seconds_and_nanoseconds_are_told_by_the_time_between_rows(tmp_path, start, column, unit):
     """At 20 rows a second, from 0 or since 1970; the frames lie between the rows."""
     lines = [f"{(start * 20 + i) * unit / 20:.0{2 if unit == 1 else 0}f},{i}" for i in range(40)]
-    table = read_poses(rows(tmp_path / "o.csv", "\n".join([f"{column},yaw", *lines])))
+    table = table_of(tmp_path, "\n".join([f"{column},yaw", *lines]))
     first = start * 10**9 + 125_000_000
-    motion = table.motion(first, first + 500_000_000)
-    assert motion is not None
-    assert motion.pan_deg == pytest.approx(10, abs=1e-4)  # 10 rows; 1970's seconds are rounded
+    pan_deg = motion(table, first, first + 500_000_000).pan_deg
+    assert pan_deg == pytest.approx(10, abs=1e-4)  # 10 rows; 1970's seconds are rounded
 
 
 def test_rows_may_come_in_any_order_and_twice(tmp_path):
-    text = "timestamp,yaw\n2,20\n0,0\n1,10\n1,10\n3,30\n"
-    table = read_poses(rows(tmp_path / "o.csv", text))
-    motion = table.motion(500_000_000, 2_500_000_000)
-    assert motion is not None
-    assert motion.pan_deg == pytest.approx(20)
+    table = table_of(tmp_path, "timestamp,yaw\n2,20\n0,0\n1,10\n1,10\n3,30\n")
+    assert motion(table, 500_000_000, 2_500_000_000).pan_deg == pytest.approx(20)
 
 
 def test_what_was_not_measured_is_not_told(tmp_path):
     times = [*np.arange(0, 5, 0.1), *np.arange(7, 9, 0.1)]  # nothing between 4.9 and 7 s
-    text = "timestamp,yaw\n" + "".join(f"{t:.1f},{t:.1f}\n" for t in times)
-    table = read_poses(rows(tmp_path / "o.csv", text))
+    table = table_of(tmp_path, "timestamp,yaw\n" + "".join(f"{t:.1f},{t:.1f}\n" for t in times))
     covered = {t: table.covers(round(t * 1e9)) for t in (-0.1, 0, 4.9, 5.0, 6.9, 7, 8.9, 8.91)}
     assert [t for t, told in covered.items() if told] == [0, 4.9, 7, 8.9]
     assert table.motion(4_000_000_000, 6_000_000_000) is None
     # What happened in between does not matter where both ends are told.
-    across = table.motion(4_000_000_000, 8_000_000_000)
-    assert across is not None
-    assert across.pan_deg == pytest.approx(4)
-
-
-# The command
+    assert motion(table, 4_000_000_000, 8_000_000_000).pan_deg == pytest.approx(4)
 
 
 @pytest.fixture
@@ -160,21 +142,19 @@ def pan_table(path: Path, count: int = 16, per_second: float = 1.0) -> Path:
     """The poses of the sample log's sonar: 4 frames a second, 2 deg a second to the right."""
     scene = replace(load_scene("sample_pan"), frames=count)
     lines = [f"{i / scene.rate_hz},{p.pan_deg * per_second}" for i, p in enumerate(poses(scene))]
-    return rows(path, "\n".join(["timestamp,yaw", *lines]) + "\n")
+    path.write_text("\n".join(["timestamp,yaw", *lines]) + "\n")
+    return path
 
 
 def test_frames_without_a_pose_are_told_once(pings):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("short.csv"), 11), code=3)
-    problems = [line for line in told.stderr.splitlines() if "short.csv" in line]
-    assert len(problems) == 1
-    assert "covers 0.000 to 2.500 s" in problems[0]
+    (problem,) = (line for line in told.stderr.splitlines() if "short.csv" in line)
+    assert "0.000 to 2.500 s" in problem
     run = tomllib.loads(Path("sonarrec_out/pings/run.toml").read_text())
-    assert run["input"]["problems"] == [problems[0].removeprefix("sonarrec: ")]
+    assert run["input"]["problems"] == [problem.removeprefix("sonarrec: ")]
 
 
-@pytest.mark.parametrize(
-    "factor", [pytest.param(-1.0, id="to the left"), pytest.param(math.pi / 180, id="radians")]
-)
+@pytest.mark.parametrize("factor", [-1.0, math.pi / 180], ids=["to the left", "radians"])
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
     assert "note: odd.csv" in told.stderr
@@ -184,64 +164,46 @@ def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     ("text", "fault"),
     [
         ("", "empty"),
-        ("timestamp,heading\n0,1\n1,2\n", "no yaw"),
-        ("time,yaw\n0,1\n1,2\n", "neither timestamp nor timestamp_ns"),
-        ("timestamp,yaw,x\n0,1,2\n1,2,3\n", "x and y go together"),
-        ("timestamp,yaw,X,Y\n0,1,2,3\n1,1,2,3\n", "the columns X, Y: expected x,y in metres"),
-        ("timestamp,yaw,lat,lon\n0,1,2,3\n1,1,2,3\n", "from the columns lat, lon: expected x,y"),
-        ("timestamp,yaw,x,y\n0,1,1e300,3\n1,1,2,3\n", "line 2: x must be a finite number from"),
-        ("timestamp,yaw\n0,1\n", "two times"),
+        ("timestamp,heading\n0,1\n1,2", "no yaw"),
+        ("time,yaw\n0,1\n1,2", "neither timestamp nor timestamp_ns"),
+        ("timestamp,yaw,x\n0,1,2\n1,2,3", "x and y"),
+        ("timestamp,yaw,X,Y\n0,1,2,3\n1,1,2,3", "columns X, Y"),
+        ("timestamp,yaw,lat,lon\n0,1,2,3\n1,1,2,3", "columns lat, lon"),
+        ("timestamp,yaw,x,y\n0,1,1e300,3\n1,1,2,3", "line 2: x"),
+        ("timestamp,yaw\n0,1", "two times"),
         (
-            "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2024-05-01T12:00:01,2\n",
-            "line 3: timestamp must be a finite number, or a time with its UTC offset such "
-            "as 2024-05-01T12:00:00Z, not '2024-05-01T12:00:01'",
+            "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2024-05-01T12:00:01,2",
+            "line 3: timestamp .* UTC offset .*, not '2024-05-01T12:00:01'",
         ),
-        (
-            "timestamp,yaw\n2024-05-01T12:00:00Z,1\n2300-05-01T12:00:00Z,2\n",
-            "timestamp must be seconds or nanoseconds; these are neither",
-        ),
-        ("timestamp,yaw\n0,1\n100,1\n200,1\n", "steps of 100 are neither"),
-        (
-            "timestamp,yaw\n1763700000000000,1\n1763700000050000,2\n",
-            "(milliseconds or microseconds?)",
-        ),
-        ("timestamp,yaw\n0,1\n1,north\n", "line 3: yaw must be a finite number, not 'north'"),
-        ("timestamp_ns,yaw\n0.5,1\n1,1\n", "line 2: timestamp_ns must be a whole number"),
+        ("timestamp,yaw\n2024-05-01T12:00:00Z,1\n2300-05-01T12:00:00Z,2", "neither"),
+        ("timestamp,yaw\n0,1\n100,1\n200,1", "100 are neither"),
+        ("timestamp,yaw\n1763700000000000,1\n1763700000050000,2", "microseconds"),
+        ("timestamp,yaw\n0,1\n1,north", "line 3: yaw .*'north'"),
+        ("timestamp_ns,yaw\n0.5,1\n1,1", "line 2: timestamp_ns"),
         # In TUM form:
-        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 1\n", "line 2: a pose in TUM form is 8 finite numbers"),
-        ("0 1 2 3 0 0 0 1\n# a\n1 1 2 3 0 0 x 1\n", "line 3: a pose in TUM form"),
-        ("0 1 2 3 0 0 nan 1\n1 1 2 3 0 0 0 1\n", "line 1: a pose in TUM form"),
-        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 0\n", "line 2: no pose"),
-        ("0 1 2 3 0 0 0 1\n1 1e12 2 3 0 0 0 1\n", "line 2: no pose"),
-        ("0 1 2 3 0 0 0 1\n", "two times"),
-        ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1\n", "steps of 100 are neither"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 1", "line 2: .*TUM"),
+        ("0 1 2 3 0 0 0 1\n# a\n1 1 2 3 0 0 x 1", "line 3: .*TUM"),
+        ("0 1 2 3 0 0 nan 1\n1 1 2 3 0 0 0 1", "line 1: .*TUM"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 0", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1\n1 1e12 2 3 0 0 0 1", "line 2: no pose"),
+        ("0 1 2 3 0 0 0 1", "two times"),
+        ("0 1 2 3 0 0 0 1\n100 1 2 3 0 0 0 1\n200 1 2 3 0 0 0 1", "100 are neither"),
     ],
 )
-def test_a_table_that_cannot_be_used_is_told_in_one_line(tmp_path, text, fault):
-    path = rows(tmp_path / "odometry.csv", text)
-    with pytest.raises(SonarrecError, match=r"odometry\.csv") as told:
-        read_poses(path)
-    assert fault in str(told.value)
-    assert "\n" not in str(told.value)
-
-
-# Poses in TUM form
-
-
-angle = st.floats(-1.3, 1.3)
+def test_a_table_that_cannot_be_used(tmp_path, text, fault):
+    with pytest.raises(SonarrecError, match=f"odometry.csv.*{fault}"):
+        table_of(tmp_path, text)
 
 
 @settings(max_examples=30)
 @given(
     yaw=st.floats(-math.pi, math.pi),
-    pitch=angle,
-    roll=angle,
+    pitch=st.floats(-1.3, 1.3),
+    roll=st.floats(-1.3, 1.3),
     moved=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-50, 50)),
     length=st.sampled_from([1.0, -1.0, 1e-200, 3.0]),
 )
-def test_poses_in_tum_form_have_the_heading_of_their_x_axis(
-    tmp_path_factory, yaw, pitch, roll, moved, length
-):
+def test_tum_poses_head_along_their_x_axis(tmp_path_factory, yaw, pitch, roll, moved, length):
     """Half angles of yaw, pitch and roll make the quaternion; the heading is that of the rotated x
     axis on the floor, counted to the right. Roll, pitch and height have no part in it."""
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -254,37 +216,31 @@ def test_poses_in_tum_form_have_the_heading_of_their_x_axis(
         cy * cp * cr + sy * sp * sr,
     )
     cells = " ".join(repr(v) for v in (*moved, *(length * q for q in quaternion)))
-    text = (
-        f"# timestamp tx ty tz qx qy qz qw\n1763700000.25 0 0 0 0 0 0 1\n\n1763700000.5\t{cells}\n"
-    )
-    table = read_poses(rows(tmp_path_factory.mktemp("tum") / "a.tum", text))
-    motion = table.motion(*table.time_ns.tolist())
-    assert motion is not None
+    text = f"# t tx ty tz qx qy qz qw\n1763700000.25 0 0 0 0 0 0 1\n\n1763700000.5\t{cells}\n"
+    table = table_of(tmp_path_factory.mktemp("tum"), text)
+    told = motion(table, *table.time_ns.tolist())
     assert np.diff(table.time_ns) == pytest.approx([250_000_000], abs=512)  # of 64 bits since 1970
-    assert math.cos(math.radians(motion.pan_deg)) == pytest.approx(math.cos(yaw), abs=1e-9)
-    assert math.sin(math.radians(motion.pan_deg)) == pytest.approx(-math.sin(yaw), abs=1e-9)
-    assert (motion.ahead_m, -motion.right_m) == pytest.approx(moved[:2])
+    assert math.cos(math.radians(told.pan_deg)) == pytest.approx(math.cos(yaw), abs=1e-9)
+    assert math.sin(math.radians(told.pan_deg)) == pytest.approx(-math.sin(yaw), abs=1e-9)
+    assert (told.ahead_m, -told.right_m) == pytest.approx(moved[:2])
     # Positions of a map are in the file's own axes.
     place = table.position(int(table.time_ns[1]), 0.0, 1.0)
     assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
 
 
-# The pose topic
-
-
 def pose_log(
     path: Path,
     images: Path,
-    schema: str,
-    told: bool,
     yaw_of: list[float],
-    lengths: list[float] | None = None,
+    schema: str = "nav_msgs/msg/Odometry",
+    told: bool = True,
+    lengths: Sequence[float] = (1.0,) * 16,
     changed: Callable[[int, int, bytes], tuple[int, bytes]] = lambda _, at, data: (at, data),
 ) -> Path:
     """An MCAP of the images, and of poses as rosbags writes them: ROS turns to the left.
 
-    lengths: of each quaternion, by default 1. changed: takes the number, time and bytes of a
-    pose's message, returns its time and bytes.
+    told: whether the file defines them. lengths: of each quaternion. changed: takes the number,
+    time and bytes of a pose's message, returns its time and bytes.
     """
     store = get_typestore(Stores.ROS2_HUMBLE)
     text = store.generate_msgdef(schema, ros_version=2)[0].encode() if told else b""
@@ -301,8 +257,7 @@ def pose_log(
             at = number * 250_000_000
             writer.add_message(channel, at, cdr_compressed_image(image.read_bytes(), "png"), at)
             half = math.radians(-yaw_of[number]) / 2
-            length = lengths[number] if lengths else 1.0
-            turned = {"z": length * math.sin(half), "w": length * math.cos(half)}
+            turned = {"z": lengths[number] * math.sin(half), "w": lengths[number] * math.cos(half)}
             pose: dict[str, Any] = {
                 "position": {"x": 1.0, "y": 2.0, "z": 0.5},
                 "orientation": {"x": 0.0, "y": 0.0, **turned},
@@ -327,8 +282,8 @@ def pose_log(
 )
 def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     yaw = [p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
-    log = pose_log(Path("dive.mcap"), pings, schema, told, yaw)
-    by_topic = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom")
+    log = pose_log(Path("dive.mcap"), pings, yaw, schema, told)
+    by_topic = sonarrec("run", log, *BY_TOPIC)
     assert "note: " not in by_topic.stderr
     table = read_topic(log, "/odom", "log")
     np.testing.assert_allclose(np.diff(table.pose[:, 0]), np.diff(yaw), atol=1e-9)
@@ -336,26 +291,21 @@ def test_a_topic_is_as_good_as_a_table(pings, schema, told):
     assert read_topic(log, "/odom", "header").time_ns.tolist() == [n * 10**9 + 7 for n in range(16)]
     by_table = ("--odometry", pan_table(Path("odometry.csv")), "--out", "by_table")
     sonarrec("run", log, "--topic", "/sonar", *by_table)
-    places = [
-        np.loadtxt(
-            Path(out) / "dive" / "estimates.csv", delimiter=",", skiprows=1, usecols=(0, 3, 4, 5)
-        )
-        for out in ("sonarrec_out", "by_table")
-    ]
+    tables = [Path(out) / "dive" / "estimates.csv" for out in ("sonarrec_out", "by_table")]
+    places = [np.loadtxt(t, delimiter=",", skiprows=1, usecols=(0, 3, 4, 5)) for t in tables]
     np.testing.assert_allclose(*places, atol=0.02)  # the table is rounded
     # The topic is in run.toml: nothing has to be given again.
     sonarrec("run", log, "--config", "sonarrec_out/dive/run.toml", "--out", "again")
-    again = Path("again/dive/estimates.csv").read_bytes()
-    assert again == Path("sonarrec_out/dive/estimates.csv").read_bytes()
+    assert Path("again/dive/estimates.csv").read_bytes() == tables[0].read_bytes()
 
 
 @pytest.mark.slow
 def test_a_topic_whose_z_points_down_is_noted(pings):
     """As of many vehicles (NED): its turns are to the right, where ROS has them to the left."""
     yaw = [-p.pan_deg for p in poses(replace(load_scene("sample_pan"), frames=16))]
-    log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, yaw)
-    told = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom").stderr
-    assert "images in 15 of 15 frames; z" in told
+    log = pose_log(Path("dive.mcap"), pings, yaw, "geometry_msgs/msg/PoseStamped")
+    told = sonarrec("run", log, *BY_TOPIC).stderr
+    assert "15 of 15 frames; z" in told
     assert "(REP 103)" in told
     assert "degrees" not in told
 
@@ -363,14 +313,14 @@ def test_a_topic_whose_z_points_down_is_noted(pings):
 def test_an_orientation_may_be_of_any_length_but_none(pings):
     yaw, lengths = [3.0 * n for n in range(16)], [0.5**n for n in range(16)]
     lengths[2] = 0.0  # never filled in
-    log = pose_log(Path("dive.mcap"), pings, "nav_msgs/msg/Odometry", True, yaw, lengths)
-    table = read_topic(log, "/odom", "log")
-    assert table.problems == ("message 2 of /odom: its orientation is all zeros, skipped",)
+    table = read_topic(pose_log(Path("dive.mcap"), pings, yaw, lengths=lengths), "/odom", "log")
+    (problem,) = table.problems
+    assert problem.startswith("message 2 of /odom")
     np.testing.assert_allclose(table.pose[:, 0], yaw[:2] + yaw[3:], atol=1e-9)
 
 
 def test_a_topic_that_is_not_there_is_told_in_one_line(pings):
-    log = pose_log(Path("dive.mcap"), pings, "geometry_msgs/msg/PoseStamped", True, [0.0] * 16)
+    log = pose_log(Path("dive.mcap"), pings, [0.0] * 16)
     for arguments, told in [
         ((log, "--odometry-topic", "/pose"), "there is /odom"),
         ((pings, "--odometry-topic", "/odom"), "this log is neither"),
@@ -387,14 +337,13 @@ def test_a_pose_that_cannot_be_used_is_a_line_and_a_gap(pings):
     def changed(number: int, at: int, data: bytes) -> tuple[int, bytes]:
         return 2**63 + number if number in (7, 15) else at, data[:50] if number == 9 else data
 
-    schema = "nav_msgs/msg/Odometry"
-    log = pose_log(Path("dive.mcap"), pings, schema, True, [0.0] * 16, None, changed)
+    log = pose_log(Path("dive.mcap"), pings, [0.0] * 16, changed=changed)
     table = read_topic(log, "/odom", "log")
     assert len(table.time_ns) == 13
     assert [line.partition(":")[0] for line in table.problems] == [
         f"message {n} of /odom" for n in (8, 14, 15)
     ]
-    told = sonarrec("run", log, "--topic", "/sonar", "--odometry-topic", "/odom", code=3).stderr
+    told = sonarrec("run", log, *BY_TOPIC, code=3).stderr
     lines = [line for line in told.splitlines() if "/odom" in line]
-    assert len([line for line in lines if line.endswith("clock, skipped")]) == 2
-    assert len([line for line in lines if "malformed message" in line]) == 1
+    assert sum("every clock" in line for line in lines) == 2
+    assert sum("malformed" in line for line in lines) == 1

@@ -7,7 +7,7 @@ import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import lz4.frame
@@ -46,12 +46,6 @@ def built(*records: McapRecord) -> bytes:
     for each in records:
         each.write(builder)
     return builder.end()
-
-
-def noise_images(rows: int = 300, columns: int = 512, count: int = 32) -> list[bytes]:
-    """mono8 messages that compress next to not at all, too many for a window to find again."""
-    rng = np.random.default_rng(0)
-    return [cdr_image(rng.integers(0, 256, (rows, columns), dtype=np.uint8)) for _ in range(count)]
 
 
 PACK: dict[str, Callable[[bytes], bytes]] = {
@@ -186,40 +180,14 @@ def peak_of_reading(path: Path) -> tuple[int, float]:
     return int(told[0]), int(told[1]) / (1024**2 if sys.platform == "darwin" else 1024)
 
 
-def _timed(size: int) -> Iterator[tuple[int, bytes]]:
-    """Messages of `size` bytes in all."""
-    images = noise_images()
-    count = size // len(images[0])
-    for number in range(count):
-        yield number, images[number % len(images)]
-
-
-def _one_chunk(path: Path, size: int, compression: str) -> None:
+def noise_log(path: Path, size: int, compression: str, chunks: int, overlap: bool) -> None:
+    """A log of about `size` bytes of images that compress next to not at all, too many for a window
+    to find again. overlap: every chunk reaches over the whole log; else they follow each other."""
+    rng = np.random.default_rng(0)
+    images = [cdr_image(rng.integers(0, 256, (300, 512), dtype=np.uint8)) for _ in range(32)]
+    timed = [(n, images[n % 32]) for n in range(size // len(images[0]))]
+    each = -(-len(timed) // chunks)
     with HardLog(path) as log:
-        log.chunk(_timed(size), compression)
-
-
-def _overlapping(path: Path, size: int, compression: str, chunks: int) -> None:
-    """Message n is in chunk n % chunks: every chunk reaches over the whole log."""
-    with HardLog(path) as log:
-        messages = list(_timed(size))
-        for chunk in range(chunks):
-            log.chunk(messages[chunk::chunks], compression)
-
-
-def _in_turn(path: Path, size: int, compression: str, chunks: int) -> None:
-    """Chunks that follow each other in time."""
-    with HardLog(path) as log:
-        messages = list(_timed(size))
-        each = -(-len(messages) // chunks)
-        for first in range(0, len(messages), each):
-            log.chunk(messages[first : first + each], compression)
-
-
-def shapes(path: Path, size: int) -> dict[str, Callable[[], None]]:
-    """Writers of logs of about `size` bytes, by what is hard about them."""
-    return {
-        "12 chunks in turn, zstd": lambda: _in_turn(path, size, "zstd", 12),
-        "one chunk, uncompressed": lambda: _one_chunk(path, size, ""),
-        "10 overlapping chunks, lz4": lambda: _overlapping(path, size, "lz4", 10),
-    }
+        for k in range(chunks):
+            part = timed[k::chunks] if overlap else timed[k * each : (k + 1) * each]
+            log.chunk(part, compression)

@@ -6,9 +6,9 @@ The bytes of messages are packed here field by field, or by rosbags, not by the 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -45,10 +45,17 @@ def frames(count: int = 7, rows: int = 48, columns: int = 38, seed: int = 0) -> 
     ]
 
 
-def image_folder(path: Path, images: list[np.ndarray], suffix: str = ".png") -> Path:
+def image_folder(
+    path: Path, images: list[np.ndarray], suffix: str = ".png", names: Sequence[str] = ()
+) -> Path:
+    """A folder of images, or arrays. names: of the files, in place of frame0.png and so on."""
     path.mkdir(parents=True)
     for k, image in enumerate(images):
-        assert cv2.imwrite(str(path / f"frame{k}{suffix}"), image)
+        file = path / (names[k] if names else f"frame{k}{suffix}")
+        if suffix == ".npy":
+            np.save(file, image)
+        else:
+            assert cv2.imwrite(str(file), image)
     (path / "sonar.toml").write_text(SONAR_TOML)
     return path
 
@@ -65,10 +72,30 @@ def video_file(path: Path, images: list[np.ndarray], codec: str, rate_hz: float 
     return path
 
 
-def read(path: str | Path, **options: Any) -> tuple[list[Frame], list[str]]:
-    """The frames of a log, and what of it could not be used. options: of open_log."""
+class Read(NamedTuple):
+    """What a log gives: its frames, what of it could not be used, and what else is told."""
+
+    frames: list[Frame]
+    problems: list[str]
+    notes: list[str]
+
+    @property
+    def numbers(self) -> list[int]:
+        return [frame.index for frame in self.frames]
+
+    @property
+    def times(self) -> list[int]:
+        return [frame.timestamp_ns for frame in self.frames]
+
+    @property
+    def images(self) -> list[np.ndarray]:
+        return [frame.image for frame in self.frames]
+
+
+def read(path: str | Path, **options: Any) -> Read:
+    """options: of open_log."""
     with open_log(path, **options) as log:
-        return list(log), log.diagnostics.problems
+        return Read(list(log), log.diagnostics.problems, log.diagnostics.notes)
 
 
 def cdr_image(
@@ -147,3 +174,11 @@ def mcap_file(
         writer.finish()
     (path.parent / "sonar.toml").write_text(SONAR_TOML)
     return path
+
+
+def image_mcap(
+    path: Path, images: Iterable[np.ndarray], pixels: str = "mono8", **options: Any
+) -> Path:
+    """These images, four a second. pixels: their encoding; options: of mcap_file."""
+    timed = [("/a", k * PERIOD_NS, cdr_image(image, pixels)) for k, image in enumerate(images)]
+    return mcap_file(path, timed, **options)

@@ -7,6 +7,8 @@ geometry of polar pings is in numbers that every message holds exactly.
 from __future__ import annotations
 
 import base64
+import importlib
+import importlib.resources
 import json
 import math
 from collections.abc import Callable
@@ -16,16 +18,16 @@ from typing import Any
 import cv2
 import foxglove
 import numpy as np
+from flatbuffers import Builder
 from foxglove.channels import CompressedImageChannel, RawImageChannel
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 from foxglove.messages import CompressedImage, RawImage, Timestamp
+from foxglove_schemas_flatbuffer.Time import CreateTime
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sonarrec.readers import open_log
 from sonarrec.readers.messages.types import IMAGES, decoder_for, message_type
 from sonarrec.sonar.frame import Frame
 from sonarrec.sonar.stated import Sonar
-from tests.support.flatbuffer import binary_schema, encode_flatbuffer
 from tests.support.logs import PERIOD_NS, mcap_file
 
 # As the packages' own .msg files have them, FORMATS in short.
@@ -247,26 +249,25 @@ Maker = Callable[[Path, list[np.ndarray], str], None]
 """Writes images to an MCAP file, with a compression."""
 
 
-def by_rosbags(name: str, ros1: bool = False) -> Maker:
-    """CDR in either byte order, or the serialisation of ROS 1."""
+def encoded(encode: Callable[[int, np.ndarray], bytes], **how: Any) -> Maker:
+    """encode: frame number and image to the bytes of a message. how: of mcap_file."""
 
     def make(path: Path, images: list[np.ndarray], compression: str) -> None:
-        make_fields = FIELDS[name]
-        messages = [
-            serialised(name, make_fields(k, image), ros1, little=k % 2 == 0)
-            for k, image in enumerate(images)
-        ]
-        mcap_file(
-            path,
-            [("/sonar", k * PERIOD_NS, message) for k, message in enumerate(messages)],
-            schema=name.replace("/msg/", "/") if ros1 else name,
-            encoding="ros1" if ros1 else "cdr",
-            schema_encoding="ros1msg" if ros1 else "ros2msg",
-            schema_data=definition(name, ros1),
-            compression=compression,
-        )
+        timed = [("/sonar", k * PERIOD_NS, encode(k, image)) for k, image in enumerate(images)]
+        mcap_file(path, timed, compression=compression, **how)
 
     return make
+
+
+def by_rosbags(name: str, ros1: bool = False) -> Maker:
+    """CDR in either byte order, or the serialisation of ROS 1."""
+    return encoded(
+        lambda k, image: serialised(name, FIELDS[name](k, image), ros1, little=k % 2 == 0),
+        schema=name.replace("/msg/", "/") if ros1 else name,
+        encoding="ros1" if ros1 else "cdr",
+        schema_encoding="ros1msg" if ros1 else "ros2msg",
+        schema_data=definition(name, ros1),
+    )
 
 
 def plain(value: Any, text: bool = True) -> Any:
@@ -282,20 +283,15 @@ def plain(value: Any, text: bool = True) -> Any:
 def by_json(name: str, dotted: str) -> Maker:
     """As the BlueOS recorder writes them, or Foxglove, which calls its nanoseconds nsec."""
 
-    def make(path: Path, images: list[np.ndarray], compression: str) -> None:
-        messages = []
-        for k, image in enumerate(images):
-            fields = plain(FIELDS[name](k, image))
-            if dotted.startswith("foxglove."):
-                clock = fields["timestamp"]
-                fields["timestamp"] = {"sec": clock["sec"], "nsec": clock["nanosec"]}
-            messages.append(("/sonar", k * PERIOD_NS, json.dumps(fields).encode()))
-        mcap_file(
-            path, messages, schema=dotted, encoding="json", schema_encoding="jsonschema",
-            schema_data=b'{"type": "object"}', compression=compression,
-        )  # fmt: skip
+    def encode(k: int, image: np.ndarray) -> bytes:
+        fields = plain(FIELDS[name](k, image))
+        if dotted.startswith("foxglove."):
+            clock = fields["timestamp"]
+            fields["timestamp"] = {"sec": clock["sec"], "nsec": clock["nanosec"]}
+        return json.dumps(fields).encode()
 
-    return make
+    schema = {"schema": dotted, "schema_encoding": "jsonschema"}
+    return encoded(encode, encoding="json", schema_data=b'{"type": "object"}', **schema)
 
 
 def by_foxglove(compressed: bool) -> Maker:
@@ -325,22 +321,34 @@ def by_foxglove(compressed: bool) -> Maker:
     return make
 
 
-def by_flatbuffers(compressed: bool) -> Maker:
-    """The flatbuffers package writes the messages, by the code that flatc made of the schemas."""
-    name = "foxglove.CompressedImage" if compressed else "foxglove.RawImage"
-    fields = FIELDS[name.replace("foxglove.", "foxglove_msgs/msg/")]
+def by_flatbuffers(message: str) -> Maker:
+    """The flatbuffers package writes foxglove.RawImage or foxglove.CompressedImage, by the code
+    that flatc made of their schemas."""
+    module = message.replace("foxglove", "foxglove_schemas_flatbuffer")
+    table, package = importlib.import_module(module), module.rpartition(".")[0]
+    schema = importlib.resources.files(package) / f"{message.rpartition('.')[2]}.bfbs"
 
-    def make(path: Path, images: list[np.ndarray], compression: str) -> None:
-        messages = [
-            ("/sonar", k * PERIOD_NS, encode_flatbuffer(name, plain(fields(k, image), text=False)))
-            for k, image in enumerate(images)
-        ]
-        mcap_file(
-            path, messages, schema=name, encoding="flatbuffer", schema_encoding="flatbuffer",
-            schema_data=binary_schema(name), compression=compression,
-        )  # fmt: skip
+    def encode(k: int, image: np.ndarray) -> bytes:
+        fields = plain(FIELDS[message.replace("foxglove.", "foxglove_msgs/msg/")](k, image), False)
+        builder = Builder(len(fields["data"]) + 1024)
+        # Texts and bytes lie outside the table, and before it; times and numbers inside.
+        for key, value in fields.items():
+            if isinstance(value, str):
+                fields[key] = builder.CreateString(value)
+            elif isinstance(value, bytes):
+                fields[key] = builder.CreateByteVector(value)
+        table.Start(builder)
+        for key, value in fields.items():
+            if key == "timestamp":
+                value = CreateTime(builder, value["sec"], value["nanosec"])
+            add = getattr(table, "Add" + key.title().replace("_", ""), None)
+            if add is not None:  # else a field of ROS alone
+                add(builder, value)
+        builder.Finish(table.End(builder))
+        return bytes(builder.Output())
 
-    return make
+    how = {"encoding": "flatbuffer", "schema_encoding": "flatbuffer"}
+    return encoded(encode, schema=message, schema_data=schema.read_bytes(), **how)
 
 
 # FIELDS gives rows for CDR, ROS 1 and JSON to each message type. All that a new type needs is in
@@ -355,8 +363,8 @@ WRITERS: dict[str, Maker] = {
     ),
     "foxglove.RawImage, protobuf": by_foxglove(compressed=False),
     "foxglove.CompressedImage, protobuf": by_foxglove(compressed=True),
-    "foxglove.RawImage, flatbuffer": by_flatbuffers(compressed=False),
-    "foxglove.CompressedImage, flatbuffer": by_flatbuffers(compressed=True),
+    "foxglove.RawImage, flatbuffer": by_flatbuffers("foxglove.RawImage"),
+    "foxglove.CompressedImage, flatbuffer": by_flatbuffers("foxglove.CompressedImage"),
 }
 
 
@@ -399,11 +407,6 @@ def polar_frames(count: int = 3) -> list[np.ndarray]:
         speckle = cv2.GaussianBlur(rng.normal(0, 1, (BINS, BEAMS)), (0, 0), 1.2)
         images.append(np.clip(90 + 90 * speckle, 1, 255).astype(np.uint8))
     return images
-
-
-def read(path: Path, **options: Any) -> tuple[list[Frame], list[str], list[str]]:
-    with open_log(path, **options) as log:
-        return list(log), log.diagnostics.problems, log.diagnostics.notes
 
 
 def ping_of(name: str, fields: dict[str, Any], **options: Any) -> Frame:

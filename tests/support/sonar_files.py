@@ -52,14 +52,9 @@ PERIOD_US = 125_000
 CHANNEL_BEAM = (10, 2, 14, 6, 8, 0, 12, 4, 11, 3, 15, 7, 9, 1, 13, 5)
 
 
-def fields_of(description: str) -> list[tuple[str, str]]:
-    """(name, type code) of every field, in order."""
-    return [tuple(field.split()) for field in description.split(",")]  # type: ignore[misc]
-
-
 def packed(description: str, size: int, values: dict[str, Any]) -> bytes:
     """The fields one after another, zero where no value is given, filled up to `size` bytes."""
-    fields = fields_of(description)
+    fields = [field.split() for field in description.split(",")]
     assert not set(values) - {name for name, _ in fields}
     zero = {code: b"" if code.endswith("s") else 0 for _, code in fields}
     data = struct.pack(
@@ -170,6 +165,12 @@ def oculus_ping(
     return oculus_message(message, body, version)
 
 
+def oculus_file(path: Path, images: list[np.ndarray], **how: Any) -> Path:
+    """Pings one after another. how: of oculus_ping."""
+    path.write_bytes(b"".join(oculus_ping(k, image, **how) for k, image in enumerate(images)))
+    return path
+
+
 def oculus_message(message: int, body: bytes, version: int = 2) -> bytes:
     """A message of the sonar, or to it."""
     return struct.pack("<5HIH", 0x4F53, 7892, 0, message, version, len(body), 0) + body
@@ -249,3 +250,8 @@ def gemini_log(path: Path, records: list[bytes], method: int = zipfile.ZIP_DEFLA
         archive.writestr("log_2024.cfg", "<log><logHeader></logHeader></log>")
         archive.writestr("data_2024.dat", b"".join(records) + b"\xde\xde")
     return path
+
+
+def gemini_file(path: Path, images: list[np.ndarray], **how: Any) -> Path:
+    """A `.glf` of these images. how: of gemini_record."""
+    return gemini_log(path, [gemini_record(k, image, **how) for k, image in enumerate(images)])

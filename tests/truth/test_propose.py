@@ -13,11 +13,10 @@ from sonarrec import evaluate
 from sonarrec.api.run import run as run_log
 from sonarrec.config import preset
 from sonarrec.truth.table import read_truth
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.logs import SONAR_TOML
 from tests.support.rows import read_rows
 
-SAMPLES = Path(__file__).parents[2] / "sample_data"
 RUN = f"""\
 finished = true
 {SONAR_TOML}\
@@ -72,21 +71,17 @@ def test_a_confident_track_is_taken_over_its_whole_life(tmp_path: Path) -> None:
     for row in rows:
         n = int(row["frame"])
         range_m, bearing = 2 - n / 1000, math.radians(n / 2 - 7)
-        assert float(row["x_px"]) == pytest.approx(
-            160 + 100 * range_m * math.sin(bearing), abs=0.01
-        )
-        assert float(row["y_px"]) == pytest.approx(
-            400 - 100 * range_m * math.cos(bearing), abs=0.01
-        )
+        place = 160 + 100 * range_m * math.sin(bearing), 400 - 100 * range_m * math.cos(bearing)
+        assert (float(row["x_px"]), float(row["y_px"])) == pytest.approx(place, abs=0.01)
         assert 0 < float(row["visible"]) <= 1
 
 
 @pytest.mark.parametrize(
     ("estimates", "said"),
     [
-        (track(1, range(20), score=0.89), "best score below 0.9"),
-        (track(1, range(4)), "declared in 4 frames only"),
-        (track(1, range(10)) + track(1, range(10, 13), landmark=2), "several IDs: ID.1, ID.2"),
+        (track(1, range(20), score=0.89), "below 0.9"),
+        (track(1, range(4)), "4 frames only"),
+        (track(1, range(10)) + track(1, range(10, 13), landmark=2), "ID.1, ID.2"),
     ],
 )
 def test_tracks_left_out_are_told(
@@ -94,8 +89,7 @@ def test_tracks_left_out_are_told(
 ) -> None:
     folder = results(tmp_path / "log", estimates)
     assert proposed(folder) == []
-    done = run(folder, "--out", tmp_path / "again.csv")
-    assert f"left out: {said}" in done.stdout.replace("it declared ", "")
+    assert said in run(folder, "--out", tmp_path / "again.csv").stdout
 
 
 def test_short_gaps_are_filled_in_and_long_ones_are_not(tmp_path: Path) -> None:
@@ -146,9 +140,9 @@ def test_what_a_run_left_that_was_stopped_is_told(tmp_path: Path) -> None:
     (part / "run.toml").write_text(RUN.replace("finished = true", "finished = false"))
     done = run(part, "--out", tmp_path / "gt.csv", code=3)
     assert "dive.part" in done.stderr
-    assert "60 frames could" in done.stderr
+    assert "60 frames" in done.stderr
     done = run(tmp_path / "out" / "dive", "--out", tmp_path / "other.csv", code=2)
-    assert f"finish left {part}" in done.stderr
+    assert str(part) in done.stderr
 
 
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
@@ -159,14 +153,13 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     empty = results(tmp_path / "out" / "c.part", (), ()) / "frames.csv"
     done = run(tmp_path / "out", "--out", tmp_path / "gt.csv", code=3)
     first, second = done.stderr.splitlines()
-    assert first.startswith(f"sonarrec: {bad}: wrong columns")
-    assert first.endswith("; b is not used")
-    assert f"sonarrec: {empty}: no frame" in second
+    assert first.startswith(f"sonarrec: {bad}: ")
+    assert second.startswith(f"sonarrec: {empty}: no frame")
     assert [row["log"] for row in read_rows(tmp_path / "gt.csv")] == ["a"] * 10
     (tmp_path / "gt.csv").unlink()
     (tmp_path / "out" / "a" / "frames.csv").write_text("frame\n")
     done = run(tmp_path / "out", "--out", tmp_path / "gt.csv", code=1)
-    assert done.stderr.endswith("frames.csv: no frame was processed\n")
+    assert "a/frames.csv: no frame" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
@@ -176,7 +169,7 @@ def test_faults(tmp_path: Path) -> None:
     out.write_text("corrected by hand")
     done = run(folder, "--out", out, code=1)
     assert out.read_text() == "corrected by hand"
-    assert "exists already" in done.stderr
+    assert "exists" in done.stderr
     out.unlink()
     done = run(folder, "--out", out, "--method", "other", code=2)
     assert "method other" in done.stderr
@@ -195,13 +188,12 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
 
     Half a disc radius is what a person would not have to correct to score under either protocol.
     """
-    summary = run_log(SAMPLES / "pan", tmp_path / "out", preset=preset("default"))
+    summary = run_log(SAMPLE, tmp_path / "out", preset=preset("default"))
     found = {
         (int(r["frame"]), int(r["landmark"])): (float(r["x_px"]), float(r["y_px"]))
         for r in proposed(summary.folder)
     }
-    table = read_rows(SAMPLES / "pan" / "gt.csv")
-    true = {(int(r["frame"]), int(r["landmark"])): r for r in table}
+    true = {(int(r["frame"]), int(r["landmark"])): r for r in read_rows(SAMPLE / "gt.csv")}
     whole = [key for key, row in true.items() if float(row["visible"]) >= 0.9]
     assert sum(key in found for key in whole) >= 0.98 * len(whole)
     assert found.keys() <= true.keys()
@@ -210,7 +202,7 @@ def test_proposal_of_the_sample_comes_near_its_truth(tmp_path: Path) -> None:
         apart = math.hypot(x - float(true[key]["x_px"]), y - float(true[key]["y_px"]))
         assert apart * metres_per_pixel < 0.075
     gt = summary.folder.parent / "proposed.csv"
-    sonarrec("truth", "check", gt, SAMPLES / "pan")
+    sonarrec("truth", "check", gt, SAMPLE)
 
 
 def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None:
@@ -218,8 +210,7 @@ def test_scoring_counts_the_rows_that_nobody_has_checked(tmp_path: Path) -> None
     folder, gt = results(tmp_path / "log", track(1, range(20))), tmp_path / "proposed.csv"
     proposed(folder)
     call = ("evaluate", folder, "--ground-truth", gt)
-    told = sonarrec(*call, code=3).stderr.splitlines()[0]
-    assert "20 of 20 rows" in told
+    assert "20 of 20 rows" in sonarrec(*call, code=3).stderr.splitlines()[0]
     with pytest.warns(UserWarning, match="20 of 20 rows"):
         evaluate(folder, gt)
     lines = gt.read_text().splitlines()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from collections.abc import Collection
 from pathlib import Path
 
@@ -45,14 +47,12 @@ def failure(case: Path, code: int = 1) -> str:
     done = run(case, code=code)
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
+    assert not (case / "out" / "evaluation").exists()
     return line
 
 
 def matched(case: Path, tolerance_s: float | None = None) -> Truth:
     return match_truth(read_truth(case / "gt.csv"), read_log(case / "out"), tolerance_s)
-
-
-# --- Reading -------------------------------------------------------------------------------------
 
 
 def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
@@ -65,9 +65,6 @@ def test_position_columns_left_blank_count_as_absent(case: Path) -> None:
 def test_position_is_metres_in_the_fan_plane(case: Path) -> None:
     (case / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,1,2.0,30.0\n")
     np.testing.assert_allclose(matched(case).position, [[1.0, 3**0.5]])
-
-
-# --- Matching by time ----------------------------------------------------------------------------
 
 
 def stamps(case: Path, *times_ms: int) -> None:
@@ -93,41 +90,28 @@ def test_time_matching_against_brute_force(case: Path) -> None:
     assert len(truth.frame_index) == len(expected)
 
 
-# --- Faults of the truth -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("image,id\n0,1\n", "expected a header such as frame,landmark,x_px,y_px,visible"),
-        ("landmark,x_px,y_px\n1,2,3\n", "neither frame nor timestamp_ns"),
-        ("time_s,landmark\n1.5,1\n", "multiply time_s by 1e9"),
-        ("timestamp_ns,landmark\n1.5,1\n", "whole number of ns (1 s is 1000000000), not '1.5'"),
-        ("frame,landmark\n0,1\n\none,1\n", "line 4: frame must be a whole number, not 'one'"),
-        (
-            "frame,landmark\n0,north\n",
-            "line 2: landmark must be an ID such as 3 or ID.3, or none, not 'north'",
-        ),
-        ("frame,landmark,visible\n0,1,95\n", "line 2: visible is the share of the disc"),
-        ("frame,landmark,range_m,bearing_deg\n0,1,2,3\n1,1,,\n", "line 3: range_m or bearing_deg"),
-        ("frame,landmark,x_px,y_px\n0,1,5,6\n1,1,5,6\n0,1,5,6\n", "line 4: repeats line 2"),
-        ("frame,landmark\n0,7\n", "landmark 7 is not in the set 'basin' (1, 2, 3, 4)"),
-        ("frame,landmark\n500,1\n501,1\n", "none of its 2 rows (frame 500 to 501)"),
-        (
-            "timestamp_ns,landmark\n5,1\n",
-            "none of its 1 rows (timestamp_ns 5 to 5) lies within 0.1875 s of a processed frame of "
-            "out (3 frames, 1000000000 to 1750000000); is this",
-        ),
-        ("log,frame,landmark\nother,0,1\n", "its log column names none of out"),
-        ("frame,landmark,x_px,y_px,visible\n", "it has no row, so nothing is scored"),
+        ("image,id\n0,1", "frame,landmark,x_px,y_px,visible"),
+        ("landmark,x_px,y_px\n1,2,3", "neither frame nor timestamp_ns"),
+        ("time_s,landmark\n1.5,1", "time_s by 1e9"),
+        ("timestamp_ns,landmark\n1.5,1", "1000000000.*'1.5'"),
+        ("frame,landmark\n0,1\n\none,1", "line 4: frame .*'one'"),
+        ("frame,landmark\n0,north", "line 2: landmark .*'north'"),
+        ("frame,landmark,visible\n0,1,95", "line 2: visible"),
+        ("frame,landmark,range_m,bearing_deg\n0,1,2,3\n1,1,,", "line 3: range_m or bearing_deg"),
+        ("frame,landmark,x_px,y_px\n0,1,5,6\n1,1,5,6\n0,1,5,6", "line 4: .*line 2"),
+        ("frame,landmark\n0,7", "landmark 7 .*basin"),
+        ("frame,landmark\n500,1\n501,1", r"none of its 2 rows \(frame 500 to 501\)"),
+        ("timestamp_ns,landmark\n5,1", "none of its 1 rows .*0.1875 s .*1000000000 to 1750000000"),
+        ("log,frame,landmark\nother,0,1", "log column .*out"),
+        ("frame,landmark,x_px,y_px,visible", "no row"),
     ],
 )
 def test_bad_truth(case: Path, text: str, said: str) -> None:
-    (case / "gt.csv").write_text(text)
-    line = failure(case)
-    assert said in line
-    assert "gt.csv" in line
-    assert not (case / "out" / "evaluation").exists()
+    (case / "gt.csv").write_text(text + "\n")
+    assert re.search(f"gt.csv.*{said}", failure(case))
 
 
 def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> None:
@@ -137,63 +121,52 @@ def test_truth_beyond_the_processed_frames_is_counted_and_said(case: Path) -> No
     assert "protocol paper" in done.stdout
 
 
-# --- Faults of the results -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("frames.csv", "index\n0\n", "frames.csv: wrong columns, no frame"),
-        ("frames.csv", "frame\n0\n1\n0\n", "frames.csv line 4: frame 0 is listed twice"),
-        ("estimates.csv", "frame,method\n0,m\n", "wrong columns, no landmark, score, declared"),
-        ("estimates.csv", ESTIMATES + "0,m,2,0,9,0.5,1\n", "line 4: landmark 9 is not in the set"),
-        ("estimates.csv", ESTIMATES.splitlines()[0] + "\n", "names no method to score"),
+        ("frames.csv", "index\n0\n", "frames.csv: .*no frame"),
+        ("frames.csv", "frame\n0\n1\n0\n", "frames.csv line 4: frame 0"),
+        ("estimates.csv", "frame,method\n0,m\n", "no landmark, score, declared"),
+        ("estimates.csv", ESTIMATES + "0,m,2,0,9,0.5,1\n", "line 4: landmark 9"),
+        ("estimates.csv", ESTIMATES.splitlines()[0] + "\n", "no method"),
     ],
 )
 def test_bad_results(case: Path, name: str, text: str, said: str) -> None:
     (case / "out" / name).write_text(text)
-    assert said in failure(case)
+    assert re.search(said, failure(case))
 
 
 def test_no_results(case: Path) -> None:
     (case / "out" / "estimates.csv").unlink()
     assert "estimates.csv" in failure(case)
     (case / "out" / "frames.csv").unlink()
-    assert "no results here" in failure(case, 2)
+    assert "no results" in failure(case, 2)
 
 
 def test_estimates_off_the_listed_frames_are_counted_and_said(case: Path) -> None:
     (case / "out" / "estimates.csv").write_text(ESTIMATES + "2,m,2,0,1,0.5,1\n")
-    done = run(case, code=3)
-    assert "1 estimates lie" in done.stderr
+    assert "1 estimates lie" in run(case, code=3).stderr
 
 
 def test_an_empty_run_of_ours_is_scored(case: Path) -> None:
     """Nothing seen at all, as on a riverbed, is a result and no fault."""
     (case / "out" / "estimates.csv").write_text(ESTIMATES.splitlines()[0] + "\n")
-    (case / "out" / "run.toml").write_text(
-        '[program]\nname = "sonarrec"\nmethods = ["framework"]\n'
-    )
-    assert run(case).exit_code == 0
+    text = '[program]\nname = "sonarrec"\nmethods = ["framework"]\n'
+    (case / "out" / "run.toml").write_text(text)
+    run(case)
 
 
 def test_several_logs_need_a_log_column(case: Path) -> None:
+    logs = case / "logs"
     for name in ("a", "b"):
-        (case / "root" / name).mkdir(parents=True)
-        for table in ("frames.csv", "estimates.csv"):
-            (case / "root" / name / table).write_text((case / "out" / table).read_text())
-    (case / "root" / "b" / "estimates.csv").write_text(ESTIMATES.replace("0.9,1", "0.8,1"))
-    (case / "out" / "frames.csv").unlink()
-    (case / "root").rename(case / "out" / "root")
-    several = ("evaluate", "--ground-truth", case / "gt.csv", case / "out" / "root")
-    told = sonarrec(*several, code=1).stderr
-    assert "holds 2 logs (a, b)" in told
+        shutil.copytree(case / "out", logs / name)
+    (logs / "b" / "estimates.csv").write_text(ESTIMATES.replace("0.9,1", "0.8,1"))
+    several = ("evaluate", "--ground-truth", case / "gt.csv", logs)
+    assert "2 logs (a, b)" in sonarrec(*several, code=1).stderr
     (case / "gt.csv").write_text("log,frame,landmark\na,0,1\nc,0,1\n")
-    done = sonarrec(*several, code=3)
-    told = "1 of 2 rows name logs that were not given (c); they are not scored"
-    assert done.stderr == f"sonarrec: {case / 'gt.csv'}: {told}\n"
-    assert "ground truth" in done.stdout
-    assert (case / "out" / "root" / "evaluation" / "confusion.csv").is_file()
+    (line,) = sonarrec(*several, code=3).stderr.splitlines()
+    assert "1 of 2 rows name logs that were not given (c)" in line
+    assert (logs / "evaluation" / "confusion.csv").is_file()
 
 
 @pytest.mark.parametrize(
@@ -205,8 +178,7 @@ def test_frames_without_a_row_may_be_left_out(case: Path, labelled: Collection[i
     assert "--labelled-only" in run(case, code=3).stderr
     unlabelled = 24 - len(labelled)
     assert false_claims(case) == unlabelled
-    head = run(case, "--labelled-only").stdout.partition("\n")[0]
-    assert f"{len(labelled)} of 24" in head
+    assert f"{len(labelled)} of 24" in run(case, "--labelled-only").stdout.partition("\n")[0]
     assert false_claims(case) == 0
     found = json.loads((case / "out" / "evaluation" / "evaluation.json").read_text())
     assert found["labelled_only"]
@@ -233,16 +205,13 @@ def test_a_frame_labelled_as_empty_counts(case: Path) -> None:
 
 def test_sparse_labels_make_one_pass_of_labelled_frames(case: Path) -> None:
     """Each of every twentieth frame would else be a pass of its own, and a case by itself."""
-    frame = np.arange(0, 24, 12)
-    write_crossing(case, "{n},1,2.0,{bearing},1", frame.tolist())
+    write_crossing(case, "{n},1,2.0,{bearing},1", [0, 12])
     run(case, "--labelled-only")
     passes = read_rows(case / "out" / "evaluation" / "passes.csv")
     assert {(row["first_frame"], row["last_frame"]) for row in passes} == {("0", "12")}
 
 
 def test_rows_of_other_logs_are_told_where_one_log_is_scored(case: Path) -> None:
-    header = TRUTH.split()[0]
-    rows = "".join(f"{n},1,2.0,5.0,1,{log}\n" for n in range(1) for log in ("out", "in"))
-    (case / "gt.csv").write_text(f"{header},log\n{rows}")
-    done = run(case)
-    assert "1 of 2 rows name" in done.output
+    header, row, _ = TRUTH.split()
+    (case / "gt.csv").write_text(f"{header},log\n{row},out\n{row},in\n")
+    assert "1 of 2 rows name" in run(case).output
