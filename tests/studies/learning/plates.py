@@ -11,10 +11,12 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 
+from sonarrec import landmarks
 from sonarrec.advice.landmarks import PLATES_NEAR, PLATES_NEAR_SEEN
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
@@ -87,7 +89,8 @@ def _tag(rng: np.random.Generator) -> BoolArray:
 
 @cache
 def _family() -> list[BoolArray]:
-    family = load_landmarks(Path(__file__).with_name("actag24h4.toml"))
+    with patch.object(landmarks, "MOST_IDS", 3000):  # of a set that is looked for
+        family = load_landmarks(Path(__file__).with_name("actag24h4.toml"))
     assert isinstance(family, DrawnSet)
     return family.drawings()
 
