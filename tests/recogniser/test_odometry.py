@@ -84,7 +84,7 @@ def test_a_fixed_gain_pattern_over_the_beams_does_not_pull_it_to_zero(pan_deg):
 
 
 def test_frames_that_have_nothing_in_common_match_little():
-    for seed in range(4):
+    for seed in range(2):
         one = seen_from(floor_speckle(10 + seed), 0, steps_of_eight_beams)
         other = seen_from(floor_speckle(20 + seed), 0, steps_of_eight_beams)
         assert estimated(one, other)[1] < 0.15
