@@ -149,10 +149,8 @@ def test_motion_model_rows_sum_to_one_and_follow_inverse_distance(now, before, p
 
 
 def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.ndarray:
-    """Beliefs in ID.1, ID.3 and ID.4, 60 and 120 px apart, measured without noise over 2.5 m.
-
-    shift: how far the picture moves from frame to frame, in pixels.
-    """
+    """Beliefs in ID.1, ID.3 and ID.4, 60 and 120 px apart, measured without noise, while the
+    picture moves by `shift` pixels a frame."""
     estimator = Estimator(motion_model=kind, distance_power=power)
     place = np.array([(100, 200), (160, 200), (280, 200)], float)
     q = np.stack([ideal_q(1), ideal_q(3), ideal_q(4)])
@@ -169,9 +167,9 @@ def three_in_a_row(kind: str, power: float, shift: float, frames: int) -> np.nda
     [*(("association", 1.0, shift) for shift in (0, 5, 20)), ("inverse_distance", 4.0, 5)],
 )
 def test_association_and_a_sharp_power_keep_neighbours_apart(kind, power, shift):
-    belief = three_in_a_row(kind, power, shift, 200)
+    belief = three_in_a_row(kind, power, shift, 100)
     assert list(belief.argmax(axis=1)) == [0, 2, 3]
-    assert belief[[0, 1, 2], [0, 2, 3]].min() > 0.85
+    assert belief[[0, 1, 2], [0, 2, 3]].min() > 0.8
 
 
 @pytest.mark.parametrize(("shift", "frames", "wrong"), [(5, 300, 1), (20, 60, 0)])
