@@ -9,15 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sonarrec.simulation.scene import (
-    SYMBOLS,
-    FishSection,
-    MotionSection,
-    MultipathSection,
-    PlacedLandmark,
-    PlacedObject,
-    Scene,
-)
+from sonarrec.simulation.scene import SYMBOLS, FishSection, MotionSection, MultipathSection, Scene
 
 OTHER_WORLDS = (
     *("any_floor", "relief", "light", "debris", "symbols", "wide", "other_symbols"),
@@ -43,35 +35,32 @@ LEARNED_WORLDS = (
 )
 """Kinds from which `make model` learns, in addition to those of the basin. Left out are
 other_symbols, slope, silted and multipath."""
-_PLATED = ("blank", "spokes", "half_ring", *SYMBOLS)
+_DISCS = ("blank", "spokes", "half_ring", *SYMBOLS, "filled")
 
 
 def in_world(scene: Scene, kind: str, rng: np.random.Generator) -> Scene:
     """The scene with the changes of its kind; the same scene if the kind has none."""
-    change = _CHANGES.get(kind)
-    return scene if change is None else change(scene, rng)
+    return _CHANGES[kind](scene, rng) if kind in _CHANGES else scene
 
 
 def _any_floor(scene: Scene, rng: np.random.Generator) -> Scene:
-    u = rng.uniform
-    plate = u(-12, 6)
+    u, plate = rng.uniform, rng.uniform(-12, 6)
     scene = _with_levels(scene, plate, plate + u(5, 14), rng)
     scene = replace(scene, sonar=replace(scene.sonar, pulse_m=round(u(0.004, 0.02), 4)))
     return _lit(scene, u(2, 6), rng) if u() < 0.3 else scene
 
 
 def _relief(scene: Scene, rng: np.random.Generator) -> Scene:
-    u = rng.uniform
-    plate = u(-12, -2)
+    u, plate = rng.uniform, rng.uniform(-12, -2)
     scene = _with_levels(scene, plate, plate + u(5, 14), rng, relief_m=u(0, 0.012))
-    floor = replace(
-        scene.floor,
+    scene = _on_floor(
+        scene,
         coherence=round(max(u(-0.5, 0.5), 0.0), 3),
         relief_m=round(u(0.001, 0.005), 4),
         relief_size_m=round(u(0.015, 0.04), 4),
     )
     fading = replace(scene.fading, object_db=u(0, 0.5), patch_db=u(0, 1), specular_db=u(0, 3))
-    scene = replace(scene, floor=floor, fading=fading)
+    scene = replace(scene, fading=fading)
     return _lit(scene, u(2, 6), rng) if u() < 0.2 else scene
 
 
@@ -80,33 +69,28 @@ def _light(scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def _debris(scene: Scene, rng: np.random.Generator) -> Scene:
-    u = rng.uniform
-    plate = u(-12, 0)
+    u, plate = rng.uniform, rng.uniform(-12, 0)
     scene = _with_levels(scene, plate, plate + u(8, 16), rng)
-    floor = replace(
-        scene.floor,
+    scene = _on_floor(
+        scene,
         texture_db=round(u(1.5, 4.5), 2),
         texture_m=round(u(0.04, 0.2), 3),
         debris_db=round(u(4, 14), 2),
         debris_m=round(u(0.08, 0.4), 3),
     )
-    sonar = replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4))
-    scene = replace(scene, floor=floor, sonar=sonar)
+    scene = replace(scene, sonar=replace(scene.sonar, pulse_m=round(u(0.005, 0.02), 4)))
     return _lit(scene, u(2, 8), rng) if u() < 0.5 else scene
 
 
 def _glitter(scene: Scene, rng: np.random.Generator) -> Scene:
-    u = rng.uniform
-    plate = u(-12, 0)
-    scene = _with_levels(scene, plate, plate + u(5, 14), rng)
-    floor = replace(
-        scene.floor,
+    u, plate = rng.uniform, rng.uniform(-12, 0)
+    return _on_floor(
+        _with_levels(scene, plate, plate + u(5, 14), rng),
         coherence=round(u(0, 0.5), 3) if u() < 0.5 else 1.0,
         glitter_db=round(u(2, 10), 2),
         glitter_m=round(u(0.008, 0.025), 4),
         glitter_share=round(u(0.05, 0.33), 3),
     )
-    return replace(scene, floor=floor)
 
 
 def _slope(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -146,14 +130,14 @@ def _on_floor(scene: Scene, **changed: float) -> Scene:
 
 def _each_disc(scene: Scene, drawn: Callable[[], dict[str, Any]]) -> Scene:
     """Change landmarks and their fakes in the same way, so that the change does not reveal them."""
-    return replace(
-        scene,
-        landmarks=tuple(replace(item, **drawn()) for item in scene.landmarks),
-        objects=tuple(
-            replace(item, **drawn()) if item.kind in (*_PLATED, "filled") else item
-            for item in scene.objects
-        ),
-    )
+    landmarks = tuple(replace(item, **drawn()) for item in scene.landmarks)
+    return _each_object(replace(scene, landmarks=landmarks), drawn)
+
+
+def _each_object(scene: Scene, drawn: Callable[[], dict[str, Any]]) -> Scene:
+    """Change the fakes alone."""
+    objects = (replace(o, **drawn()) if o.kind in _DISCS else o for o in scene.objects)
+    return replace(scene, objects=tuple(objects))
 
 
 def _fish(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -170,7 +154,7 @@ def _fish(scene: Scene, rng: np.random.Generator) -> Scene:
     return replace(scene, fish=fish)
 
 
-def _with_multipath(scene: Scene, rng: np.random.Generator) -> Scene:
+def _multipath(scene: Scene, rng: np.random.Generator) -> Scene:
     """Add a late copy of the scene, bands, or both."""
     u, sonar = rng.uniform, scene.sonar
     which = int(rng.integers(3))
@@ -206,10 +190,7 @@ def vehicle_motion(rng: np.random.Generator) -> MotionSection:
     else:  # to and fro
         swing, yaw_swing = u(0.1, 0.4), u(2, 16)
     return MotionSection(
-        pan_min_deg=0.0,
-        pan_max_deg=0.0,
-        pan_start_deg=0.0,
-        pan_deg_s=0.0,
+        **dict.fromkeys(("pan_min_deg", "pan_max_deg", "pan_start_deg", "pan_deg_s"), 0.0),
         yaw_jitter_deg=round(u(0, 0.3), 3),
         heave_m=round(u(0.003, 0.03), 4),
         heave_period_s=round(u(4, 10), 1),
@@ -239,41 +220,21 @@ def _with_levels(
     height of the gravel that ring and sectors are made of.
     """
 
-    def near(level_db: float) -> float:
-        return round(level_db + rng.normal(0, 0.7), 2)
+    def near(**levels_db: float) -> dict[str, Any]:
+        drawn = {name: round(db + rng.normal(0, 0.7), 2) for name, db in levels_db.items()}
+        return drawn | {"relief_m": round(relief_m, 4)}
 
-    relief_m = round(relief_m, 4)
-    landmarks: list[PlacedLandmark] = [
-        replace(
-            item,
-            bright_db=near(bright_db),
-            symbol_db=near(bright_db - 0.5),
-            plate_db=near(plate_db),
-            relief_m=relief_m,
-        )
-        for item in scene.landmarks
-    ]
-    objects: list[PlacedObject] = []
-    for item in scene.objects:
-        if item.kind in (*_PLATED, "filled"):
-            item = replace(
-                item, bright_db=near(bright_db), plate_db=near(plate_db), relief_m=relief_m
-            )
-        objects.append(item)
-    return replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
+    levels = {"bright_db": bright_db, "symbol_db": bright_db - 0.5, "plate_db": plate_db}
+    scene = replace(scene, landmarks=tuple(replace(i, **near(**levels)) for i in scene.landmarks))
+    del levels["symbol_db"]
+    return _each_object(scene, lambda: near(**levels))
 
 
+# random_scenes draws symbols, wide and vehicle.
 _CHANGES: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
-    "any_floor": _any_floor,
-    "relief": _relief,
-    "light": _light,
-    "debris": _debris,
-    "slope": _slope,
-    "leaning": _leaning,
-    "silted": _silted,
-    "ripples": _ripples,
-    "multipath": _with_multipath,
-    "fish": _fish,
-    "glitter": _glitter,
+    change.__name__.removeprefix("_"): change
+    for change in (
+        *(_any_floor, _relief, _light, _debris, _slope, _leaning, _silted, _ripples),
+        *(_multipath, _fish, _glitter),
+    )
 }
-"""The function that changes a scene, by kind. random_scenes draws symbols, wide and vehicle."""

@@ -12,7 +12,6 @@ contrast, discs half under silt, black areas behind stones and tyres, letters an
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 
 import cv2
 import numpy as np
@@ -23,6 +22,7 @@ from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.recogniser.stage3.reader import THETA
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, ShapeSampler
 from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
+from tests.studies.learning.random_scenes import unlike_codes
 
 SIZE, RADIUS = 48, 14.0  # of a picture and of the disc in it, in pixels
 CENTRE = (SIZE - 1) / 2
@@ -66,13 +66,6 @@ class _Place:
         return self.right * np.cos(angle) + self.far * np.sin(angle)
 
 
-@cache
-def _unlike_codes(size: int) -> list[tuple[int, ...]]:
-    """Every code of so many sectors, of those that are equal when turned only one."""
-    every = [tuple((n >> bit) & 1 for bit in range(size)) for n in range(1, 2**size - 1)]
-    return sorted({min(c[i:] + c[:i] for i in range(size)) for c in every})
-
-
 def random_set(rng: Generator) -> LandmarkSet:
     """The basin's discs, or two to six codes of three to twelve sectors with any widths."""
     u = rng.uniform
@@ -81,7 +74,7 @@ def random_set(rng: Generator) -> LandmarkSet:
     symbol, ring = (0.0, 0.62), (0.80, 1.0)
     if u() < 0.5:
         symbol, ring = (u(0, 0.15), u(0.5, 0.7)), (u(0.74, 0.88), 1.0)
-    codes = _unlike_codes(int(rng.choice([3, 4, 5, 6, 8, 12], p=[0.1, 0.25, 0.15, 0.2, 0.2, 0.1])))
+    codes = unlike_codes(int(rng.choice([3, 4, 5, 6, 8, 12], p=[0.1, 0.25, 0.15, 0.2, 0.2, 0.1])))
     most = min(int(rng.integers(2, MOST_IDS + 1 if u() < 0.2 else 7)), len(codes))
     chosen = [codes[i] for i in rng.choice(len(codes), most, replace=False)]
     return LandmarkSet("random", 0.1, ring, symbol, tuple(range(1, most + 1)), tuple(chosen))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,18 +33,8 @@ from sonarrec.simulation.scene import (
 from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
 
 KINDS_OF_SCENE = (
-    "plain",
-    "low_contrast",
-    "window_1_25",
-    "window_5",
-    "jitter",
-    "ring_widths",
-    "fading",
-    "occluded",
-    "near_miss",
-    "fast_pan",
-    "small_discs",
-    "no_landmark",
+    *("plain", "low_contrast", "window_1_25", "window_5", "jitter", "ring_widths", "fading"),
+    *("occluded", "near_miss", "fast_pan", "small_discs", "no_landmark"),
 )
 # In addition: discs of 0.06 m radius at a window of 2.5 m; everything hard at once; landmark sets,
 # windows and images unlike the basin's.
@@ -145,12 +136,9 @@ def _fading(kind: str, wide: bool, rng: np.random.Generator) -> FadingSection:
 
 def _noise(kind: str, wide: bool, rng: np.random.Generator) -> NoiseSection:
     u, faint = rng.uniform, kind == "low_contrast"
-    if kind == "all_hard":
-        snr_db = 9.0
-    else:
-        snr_db = round(u(4 if wide else 8, 14) if faint else u(10, 26), 1)
+    least, most = (4 if wide else 8, 14) if faint else (10, 26)
     return NoiseSection(
-        snr_db=snr_db,
+        snr_db=9.0 if kind == "all_hard" else round(u(least, most), 1),
         smear=round(u(0, 0.5), 2),
         shadow_db=round(u(-20, -9), 1),
         gain_drift_db=round(u(1.5, 4) if faint or kind in _FADING else u(0, 1.5), 2),
@@ -178,12 +166,8 @@ def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> L
         return replace(discs, name="tiny_discs", radius_m=0.06)
     if kind == "ring_widths":
         inner = rng.uniform(0.72, 0.88)
-        return replace(
-            discs,
-            name="ring_widths",
-            ring=(round(inner, 3), 1.0),
-            symbol=(round(rng.uniform(0, 0.15), 3), round(inner - rng.uniform(0.1, 0.24), 3)),
-        )
+        symbol = round(rng.uniform(0, 0.15), 3), round(inner - rng.uniform(0.1, 0.24), 3)
+        return replace(discs, name="ring_widths", ring=(round(inner, 3), 1.0), symbol=symbol)
     if kind == "small_discs":
         return replace(discs, name="small_discs", radius_m=round(rng.uniform(0.09, 0.12), 3))
     return discs
@@ -191,25 +175,21 @@ def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> L
 
 def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
     """Draw a set of three to eight IDs with three to six sectors, no two alike when turned."""
-    sectors = int(rng.integers(3, 7))
-    rotations = {
-        min(tuple(np.roll(code, turn).tolist()) for turn in range(sectors))
-        for code in (
-            [(number >> bit) & 1 for bit in range(sectors)] for number in range(1, 2**sectors - 1)
-        )
-    }
-    codes = sorted(rotations)
+    codes = unlike_codes(int(rng.integers(3, 7)))
     count = min(int(rng.integers(3, 9)), len(codes))
     drawn = rng.choice(len(codes), count, replace=False)
-    window_m = sonar.range_max_m - sonar.range_min_m
-    return LandmarkSet(
-        name="other_sets",
-        radius_m=round(float(np.clip(window_m * rng.uniform(0.04, 0.1), 0.08, 0.5)), 3),
-        ring=(0.80, 1.00),
-        symbol=(0.0, 0.62),
-        ids=tuple(range(1, count + 1)),
-        sectors=tuple(codes[i] for i in sorted(drawn)),
-    )
+    share = rng.uniform(0.04, 0.1) * (sonar.range_max_m - sonar.range_min_m)
+    radius_m = round(float(np.clip(share, 0.08, 0.5)), 3)
+    chosen = tuple(codes[i] for i in sorted(drawn))
+    ids = tuple(range(1, count + 1))
+    return LandmarkSet("other_sets", radius_m, (0.80, 1.00), (0.0, 0.62), ids, chosen)
+
+
+@cache
+def unlike_codes(size: int) -> list[tuple[int, ...]]:
+    """Every code of so many sectors, of those that are equal when turned only one."""
+    every = [tuple((n >> bit) & 1 for bit in range(size)) for n in range(1, 2**size - 1)]
+    return sorted({min(c[i:] + c[:i] for i in range(size)) for c in every})
 
 
 class _FreePlaces:
@@ -238,8 +218,7 @@ class _FreePlaces:
         far = max(self._near + share * (self._far - self._near) - 1.15 * radius_m, near + 0.02)
         for _ in range(200):
             ground = self._rng.uniform(near, far)
-            azimuth = self._rng.uniform(-40, 40)
-            sonar = self._sonar
+            azimuth, sonar = self._rng.uniform(-40, 40), self._sonar
             sine = min(sonar.height_m / math.hypot(ground, sonar.height_m), 1.0)
             off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
             if -40 * math.log10(2) * off_axis**2 < LEAST_LIT_DB:
@@ -248,8 +227,8 @@ class _FreePlaces:
                 moments = len(self._path) if len(self._taken) > 1 else FIRST_FRAMES
                 pose = self._path[int(self._rng.integers(moments))]
                 ground, azimuth = _from_origin(pose, ground, azimuth * 0.3)
-            x = ground * math.sin(math.radians(azimuth))
-            y = ground * math.cos(math.radians(azimuth))
+            angle = math.radians(azimuth)
+            x, y = ground * math.sin(angle), ground * math.cos(angle)
             if all(math.hypot(x - a, y - b) > radius_m + c + 0.05 for a, b, c in self._taken):
                 self._taken.append((x, y, radius_m))
                 return round(ground, 3), round(azimuth, 2)
@@ -300,20 +279,18 @@ def _objects(
     kind: str, scene: Scene, places: _FreePlaces, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedObject]:
     """Draw the objects that are no landmarks, as the kind of scene asks; fewer without room."""
-    names = ["blank", "filled", "tyre", "stone", "stone"]
-    names += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
+    names = ["blank", "filled", "tyre", "stone", "stone", *rng.choice(["mesh", "beam", "stone"], 2)]
+    fakes = ["spokes", "half_ring", "blank", "filled"]
     if kind == "symbols":
-        names += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
+        names += [*rng.choice(LEARNED_SYMBOLS, 5)]
     elif kind == "other_symbols":
-        names += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
+        names += [*rng.choice(OTHER_SYMBOLS, 5)]
     elif kind in ("any_floor", "relief", "light", "debris", "wide", "glitter"):
-        names += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
-    elif kind in _FAKES:
-        names += ["spokes", "half_ring", "blank", "filled"]
+        names += [*rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
     else:
-        names += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
+        names += fakes if kind in _FAKES else [*rng.choice(fakes, 1)]
     objects = []
-    for name in names:
+    for name in map(str, names):
         draft = PlacedObject(
             name,
             1.0,
@@ -351,12 +328,10 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
         noise=_noise(kind, wide, rng),
         picture=_picture(rng),
     )
-    path = None
     if kind == "vehicle":
         motion = vehicle_motion(rng)
         scene = replace(scene, frames=RUN_FRAMES, motion=overrides.get("motion", motion))
-        path = poses(scene)
-    places = _FreePlaces(scene.sonar, rng, path)
+    places = _FreePlaces(scene.sonar, rng, poses(scene) if kind == "vehicle" else None)
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
     looks = _Looks(
         bright=rng.uniform(9, 14) - faint,
