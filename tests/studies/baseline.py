@@ -177,7 +177,6 @@ class MajorityTracks:
 
 def fan_of(folder: Path, image: np.ndarray) -> Fan:
     """The fan of a simulated fan log's images."""
-
     return fan_for_image(load_sonar(folder / "sonar.toml").complete("test"), *image.shape[:2])
 
 

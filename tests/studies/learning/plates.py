@@ -76,15 +76,14 @@ def set_of(drawings: Sequence[BoolArray], mirrored: str = "either") -> DrawnSet:
     """A set of plates SIDE_M wide with IDs from 0."""
     rows = [["".join("01"[int(c)] for c in line) for line in cells] for cells in drawings]
     landmark = [{"id": i, "cells": cells} for i, cells in enumerate(rows)]
-    table = {"name": "s", "kind": "drawn", "size_m": SIDE_M, "landmark": landmark}
-    made = landmarks_from_table({**table, "mirrored": mirrored}, "here")
+    table = {"name": "s", "kind": "drawn", "size_m": SIDE_M, "mirrored": mirrored}
+    made = landmarks_from_table({**table, "landmark": landmark}, "here")
     assert isinstance(made, DrawnSet)
     return made
 
 
 def _tag(rng: np.random.Generator) -> BoolArray:
-    family = _family()
-    return family[int(rng.integers(len(family)))]
+    return _family()[int(rng.integers(len(_family())))]
 
 
 @cache
@@ -133,8 +132,7 @@ def random_scene(
     known, strangers = sets or random_sets(rng)
     plates = []
     for range_m, bearing_deg in PLACES:
-        kind = rng.random()
-        if kind < 0.15:
+        if (kind := rng.random()) < 0.15:
             continue
         chosen = known if kind < 0.7 else strangers
         hand = {"yes": True, "no": False, "either": bool(rng.integers(2))}[known.mirrored]
@@ -191,13 +189,10 @@ def lessons_of_pictures(seed: int) -> list[Part]:
     stages, fitter, frames = stages_of(random_scene(seed, frames=LOOKED_AT[-1] + 1))
     fits: list[Fit] = []
     label: list[int] = []
-    for shot, frame in frames:
-        if shot.index not in LOOKED_AT:
-            continue
+    for shot, frame in (both for both in frames if both[0].index in LOOKED_AT):
         working = stages.working_image(frame)
-        image = smooth(working)
         for place in stages.stage1(working).positions:
-            found = fitter.candidates(image, place, [])
+            found = fitter.candidates(smooth(working), place, [])
             fits += found
             label += [not any(_fits(fitter, fit, true) for true in shot.truth) for fit in found]
     if not fits:

@@ -57,10 +57,6 @@ class _Place:
         self.distance = np.hypot(self.right, self.far)
         self.angle = np.arctan2(-self.right, self.far) % (2 * np.pi)
 
-    def lit(self, sectors: FloatArray, rotation: float) -> FloatArray:
-        """Where a code of equal sectors is 1."""
-        return _lit(sectors, self.angle - rotation)
-
     def along(self, angle: float) -> FloatArray:
         """The coordinate of each pixel in a direction."""
         return self.right * np.cos(angle) + self.far * np.sin(angle)
@@ -100,10 +96,8 @@ def _stranger(rng: Generator, known: FloatArray) -> FloatArray:
 
 def _field(rng: Generator, scale: float) -> FloatArray:
     """A random field of standard deviation 1. scale: of its patches, in disc radii."""
-    noise = rng.standard_normal((SIZE, SIZE), np.float32)
-    smooth = cv2.GaussianBlur(
-        noise, (0, 0), max(scale * RADIUS, 0.4), borderType=cv2.BORDER_REFLECT
-    )
+    noise, sigma = rng.standard_normal((SIZE, SIZE), np.float32), max(scale * RADIUS, 0.4)
+    smooth = cv2.GaussianBlur(noise, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     return smooth / np.float32(max(smooth.std(), 1e-6))
 
 
@@ -123,11 +117,10 @@ class _Scene:
 
     def set(self, where: FloatArray, level_db: float, shines: bool = False) -> None:
         self.level[where] = level_db
-        if shines:
-            self.shines |= where
+        self.shines |= where & shines
 
     def disc(
-        self, landmarks: LandmarkSet, symbol: FloatArray, ring: FloatArray | bool = True
+        self, landmarks: LandmarkSet, symbol: FloatArray | bool, ring: FloatArray | bool = True
     ) -> None:
         """A plate with a ring and a symbol, where these are."""
         away, (inner, outer) = self.place.distance, landmarks.ring
@@ -141,19 +134,17 @@ class _Scene:
 
 
 def _letter(scene: _Scene, landmarks: LandmarkSet) -> None:
-    rng, place = scene.rng, scene.place
-    strokes = np.zeros((SIZE, SIZE), bool)
+    rng, strokes = scene.rng, np.zeros((SIZE, SIZE), bool)
     for _ in range(rng.integers(1, 4)):
         angle, off = rng.uniform(0, np.pi), rng.uniform(-0.4, 0.4)
-        strokes |= np.abs(place.along(angle) - off) < rng.uniform(0.07, 0.18)
+        strokes |= np.abs(scene.place.along(angle) - off) < rng.uniform(0.07, 0.18)
     scene.disc(landmarks, strokes, ring=bool(rng.uniform() < 0.8))
 
 
 def _half_ring(scene: _Scene, landmarks: LandmarkSet) -> None:
-    rng, place = scene.rng, scene.place
-    arc = (place.angle - rng.uniform(0, 2 * np.pi)) % (2 * np.pi) < rng.uniform(2, 4.6)
-    filled = rng.uniform() < 0.4
-    scene.disc(landmarks, arc & filled, ring=arc)
+    rng = scene.rng
+    arc = (scene.place.angle - rng.uniform(0, 2 * np.pi)) % (2 * np.pi) < rng.uniform(2, 4.6)
+    scene.disc(landmarks, arc & (rng.uniform() < 0.4), ring=arc)
 
 
 def _blobs(scene: _Scene, _: LandmarkSet) -> None:
@@ -161,9 +152,8 @@ def _blobs(scene: _Scene, _: LandmarkSet) -> None:
     for _ in range(rng.integers(1, 8)):
         right, far = rng.normal(0, 0.6, 2)
         square = (place.right - right) ** 2 + (place.far - far) ** 2
-        scene.level = np.maximum(
-            scene.level, rng.uniform(4, 16) - 4 * square / rng.uniform(0.02, 0.2)
-        )
+        blob = rng.uniform(4, 16) - 4 * square / rng.uniform(0.02, 0.2)
+        scene.level = np.maximum(scene.level, blob)
 
 
 def _edge(scene: _Scene, _: LandmarkSet) -> None:
@@ -240,11 +230,11 @@ def _twigs(scene: _Scene, _: LandmarkSet) -> None:
 
 
 def _blank(scene: _Scene, landmarks: LandmarkSet) -> None:
-    scene.disc(landmarks, np.zeros((SIZE, SIZE), bool))
+    scene.disc(landmarks, False)
 
 
 def _filled(scene: _Scene, landmarks: LandmarkSet) -> None:
-    scene.disc(landmarks, np.ones((SIZE, SIZE), bool))
+    scene.disc(landmarks, True)
 
 
 def _floor(scene: _Scene, landmarks: LandmarkSet) -> None:
@@ -331,17 +321,18 @@ def _draw(rng: Generator) -> Examples:
     landmarks, place = random_set(rng), _Place(rng)
     codes, scene = landmarks.codes(THETA), _Scene(rng, place)
     rotation, which, label = rng.uniform(0, 2 * np.pi), rng.uniform(), MOST_IDS
-    sectors: FloatArray | None = None  # of the symbol, if there is one
-    if which < STRANGERS:
-        sectors = _stranger(rng, codes)
-    elif which < STRANGERS + NOTHING:
+    lit = np.int8(UNKNOWN)
+    if STRANGERS <= which < STRANGERS + NOTHING:
         fakes, shares = zip(*FAKES, strict=True)
         fakes[rng.choice(len(fakes), p=shares)](scene, landmarks)
     else:
-        label = int(rng.integers(len(codes)))
-        sectors = np.asarray(landmarks.sectors[label])
-    if sectors is not None:
-        scene.disc(landmarks, place.lit(sectors, rotation))
+        if which < STRANGERS:
+            sectors = _stranger(rng, codes)
+        else:
+            label = int(rng.integers(len(codes)))
+            sectors = np.asarray(landmarks.sectors[label])
+        scene.disc(landmarks, _lit(sectors, place.angle - rotation))
+        lit = np.int8(_lit(sectors, THETA - rotation))
     _covered(scene)
     picture, frames, smear = _seen(scene, rng)
     radii = ShapeSampler(landmarks, (RADIUS, RADIUS)).radii
@@ -365,7 +356,6 @@ def _draw(rng: Generator) -> Examples:
         known,
         np.full(1, len(codes)),
         np.full(1, label),
-        np.int8(UNKNOWN if sectors is None else _lit(sectors, THETA - rotation))
-        * np.ones((1, ANGLES), np.int8),
+        np.full((1, ANGLES), lit),
         np.ones(1),
     )

@@ -79,27 +79,15 @@ class World:
     def scene(self, seed: int, frames: int = FRAMES) -> Scene:
         """The paper's scene in this world."""
         v, base = self.values, load_scene("paper")
-        landmarks = tuple(
-            PlacedLandmark(
-                i,
-                v[f"ground_m_{i}"],
-                v[f"azimuth_deg_{i}"],
-                v[f"turn_deg_{i}"],
-                bright_db=v["ring_db"],
-                symbol_db=round(v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"], 2),
-                plate_db=v["plate_db"],
-            )
-            for i in PRESENT
-        )
+        lies = ("ground_m", "azimuth_deg", "turn_deg")
+        levels = {"bright_db": v["ring_db"], "plate_db": v["plate_db"]}
+        landmarks = []
+        for i in PRESENT:
+            symbol_db = round(v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"], 2)
+            place = (v[f"{name}_{i}"] for name in lies)
+            landmarks.append(PlacedLandmark(i, *place, symbol_db=symbol_db, **levels))
         fakes = [
-            PlacedObject(
-                kind,
-                v[f"fake_ground_m_{n}"],
-                v[f"fake_azimuth_deg_{n}"],
-                v[f"fake_turn_deg_{n}"],
-                bright_db=v["ring_db"],
-                plate_db=v["plate_db"],
-            )
+            PlacedObject(kind, *(v[f"fake_{name}_{n}"] for name in lies), **levels)
             for n, kind in enumerate(self.fakes, 1)
         ]
         strays = [
@@ -118,7 +106,7 @@ class World:
             fading=fading,
             noise=replace(base.noise, snr_db=v["snr_db"]),
             picture=replace(base.picture, dynamic_range_db=v["dynamic_range_db"]),
-            landmarks=landmarks,
+            landmarks=tuple(landmarks),
             objects=(*fakes, *strays),
         )
 
