@@ -6,7 +6,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
-from mcap.writer import Writer
 
 from sonarrec.arrays import FloatArray
 from sonarrec.config import preset
@@ -35,6 +33,7 @@ from sonarrec.sonar.geometry import pose_table
 from sonarrec.sonar.stated import Sonar
 from tests.support.command import sonarrec
 from tests.support.drawn import make_fan
+from tests.support.logs import mcap_file
 from tests.support.messages import definition, serialised
 from tests.support.rows import read_rows, write_rows
 
@@ -152,8 +151,7 @@ def test_estimates_on_frames_that_are_not_listed_are_told(dive: Path) -> None:
     strays[1]["method"] = "smi"
     alone = map_rows(dive)
     write_rows(dive / "estimates.csv", [*rows, *strays])
-    done = sonarrec("map", dive, code=3)
-    assert f"{dive}: 3 of {len(rows) + 3} declared estimates" in done.stderr
+    assert f"{dive}: 3 of {len(rows) + 3} " in sonarrec("map", dive, code=3).stderr
     assert read_rows(dive / "map" / "map.csv") == alone
 
 
@@ -181,13 +179,13 @@ def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Pat
     head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
     given.write_text(head + "".join(rows))
     told = sonarrec("map", dive, "--landmarks", given).stdout
+    assert told.splitlines()[-1].split()[5:7] == ["-", "-"]
     for name, count in (("map", 3), ("passes", 6)):
         found = read_rows(dive / "map" / f"{name}.csv")
         assert len(found) == count
         for row in found:
             cells = row["orientation_deg"], row["orientation_sigma_deg"]
             assert all(cells) if row["landmark"] == "1" else cells == ("", "")
-    assert [line.split()[5:7] for line in told.splitlines()[-1:]] == [["-", "-"]]
 
 
 def test_two_logs_make_one_map(tmp_path: Path) -> None:
@@ -195,27 +193,19 @@ def test_two_logs_make_one_map(tmp_path: Path) -> None:
     one = results(tmp_path / "one", path, path)
     other = results(tmp_path / "other", path[::-1], path[::-1], [*SITE, Disc(4, -1.2, 2.0, 0)], 1)
     sonarrec("map", one, other, "-o", tmp_path / "site")
-    rows = read_rows(tmp_path / "site" / "map.csv")
-    found = [(row["landmark"], row["logs"]) for row in rows]
+    found = [(row["landmark"], row["logs"]) for row in read_rows(tmp_path / "site" / "map.csv")]
     assert found == [("1", "2"), ("1", "2"), ("2", "2"), ("4", "1")]
-    told = sonarrec("map", one, other, code=2)
-    assert "several RESULTS need --out" in told.stderr
+    assert "--out" in sonarrec("map", one, other, code=2).stderr
 
 
 def test_what_lies_on_another_is_the_one_claimed_more(dive: Path) -> None:
     """A few frames of a disc under a wrong ID make no second landmark."""
-    estimates = dive / "estimates.csv"
-    rows = read_rows(estimates)
-    wrong = 0
-    for row in rows:
-        if row["landmark"] == "2" and wrong < 5:
-            row["landmark"], wrong = "3", wrong + 1
-    write_rows(estimates, rows)
-    told = sonarrec("map", dive, code=3).stderr  # since the table was changed
-    assert "(ID.2): other claims" in told
-    rows = read_rows(dive / "map" / "map.csv")
-    found = [(row["landmark"], row["other_frames"]) for row in rows]
-    assert found == [("1", "0"), ("1", "0"), ("2", "5")]
+    rows = read_rows(dive / "estimates.csv")
+    for row in [row for row in rows if row["landmark"] == "2"][:5]:
+        row["landmark"] = "3"
+    write_rows(dive / "estimates.csv", rows)
+    assert "(ID.2)" in sonarrec("map", dive, code=3).stderr  # since the table was changed
+    assert columns(dive, "landmark", "other_frames") == [("1", "0"), ("1", "0"), ("2", "5")]
 
 
 @pytest.mark.parametrize(("by_m", "places"), [(0.02, 1), (0.2, 2)])
@@ -257,6 +247,11 @@ def test_landmarks_of_few_frames_are_left_out(dive: Path) -> None:
 def map_rows(folder: Path, *options: str | int) -> list[dict[str, str]]:
     sonarrec("map", folder, *map(str, options))
     return read_rows(folder / "map" / "map.csv")
+
+
+def columns(folder: Path, *names: str) -> list[tuple[str, ...]]:
+    """Of the landmarks of a map that was made."""
+    return [tuple(row[n] for n in names) for row in read_rows(folder / "map" / "map.csv")]
 
 
 @pytest.mark.slow
@@ -340,9 +335,8 @@ def test_a_landmark_that_comes_back_is_one_in_spite_of_drift(tmp_path: Path) -> 
     off = np.linspace(0, 1, len(path))[:, None] * (4.0, 0.3, -0.1)
     folder = results(tmp_path / "dive", path, path + off)
     assert len(map_rows(folder)) > 3  # as exact poses these are other landmarks
-    rows = map_rows(folder, "--drift", "0.4,5")
-    found = [(row["landmark"], row["passes"]) for row in rows]
-    assert found == [("1", "2"), ("1", "2"), ("2", "2")]
+    map_rows(folder, "--drift", "0.4,5")
+    assert columns(folder, "landmark", "passes") == [("1", "2"), ("1", "2"), ("2", "2")]
 
 
 def measured(
@@ -365,9 +359,7 @@ def measured(
 def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) -> None:
     path = there_and_back()
     folder = results(tmp_path / "dive", path, None)
-    told = sonarrec("map", folder, code=1)
-    assert "measured motion" in told.stderr
-    assert "--odometry" in told.stderr
+    assert "--odometry" in sonarrec("map", folder, code=1).stderr
     sigma = (0.002, 0.002, 0.1)
     measured(folder, path, sigma)
     yaw, x, y = path[0]
@@ -391,17 +383,15 @@ def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) ->
     assert len(read_rows(other / "map" / "map.csv")) == 3
     sonarrec("map", folder, other, "-o", tmp_path / "both", code=3)
     assert {path.name for path in (tmp_path / "both").iterdir()} == {folder.name, "other"}
-    told = sonarrec("map", folder, other, "-o", tmp_path / "c", "--origin", "54,10,0", code=2)
-    assert "coordinate frame" in told.stderr
+    several = ("map", folder, other, "-o", tmp_path / "c")
+    assert "(dive, other)" in sonarrec(*several, "--origin", "54,10,0", code=2).stderr
 
 
 def test_measured_motion_carries_as_far_as_it_is_known(tmp_path: Path) -> None:
     path = there_and_back()
     folder = results(tmp_path / "dive", path, None)
     measured(folder, path, (0.001, 0.001, 0.1), lost=60)
-    done = sonarrec("map", folder, code=3)
-    assert "frame 60" in done.stderr
-    assert "left out" in done.stderr
+    assert "frame 60" in sonarrec("map", folder, code=3).stderr
     assert all(int(row["last_frame"]) < 60 for row in read_rows(folder / "map" / "passes.csv"))
 
 
@@ -467,10 +457,9 @@ def test_the_picture_has_the_path_in_the_colours_of_the_ids_where_it_was(
 
     monkeypatch.setattr(Axes, "plot", kept)
     draw_map(mapped / "map.png", make_map([mapped.parent]))
-    np.testing.assert_allclose(drawn["path of the sonar"], there_and_back()[:, 1:], atol=1e-6)
-    np.testing.assert_allclose(
-        drawn["first place of the sonar"], [there_and_back()[0, 1:]], atol=1e-6
-    )
+    path = there_and_back()[:, 1:]
+    np.testing.assert_allclose(drawn["path of the sonar"], path, atol=1e-6)
+    np.testing.assert_allclose(drawn["first place of the sonar"], path[:1], atol=1e-6)
 
 
 @pytest.mark.slow
@@ -526,55 +515,44 @@ def test_the_frame_of_a_topic_is_as_ros_has_it(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
     log.rename(bag / "bag_0.mcap")
-    assert "no such file" in sonarrec("map", ros, code=2).stderr
+    assert "dive.mcap" in sonarrec("map", ros, code=2).stderr
+    sonarrec("map", ros, "--odometry", write_poses(tmp_path / "poses.csv", path))
     run = ros / "run.toml"
-    stated = run.read_text()
-    run.write_text(stated.replace(str(log), str(bag)))
-    first = map_rows(ros)
-    assert len(first) == 3
-    run.write_text(stated)
-    table_of_poses = write_poses(tmp_path / "poses.csv", path)
-    sonarrec("map", ros, "--odometry", table_of_poses)
+    run.write_text(run.read_text().replace(str(log), str(bag)))
+    assert len(map_rows(ros)) == 3
 
 
 def odometry_log(log: Path, path: FloatArray) -> None:
     """An MCAP of the poses alone, as ROS has them."""
     name = "geometry_msgs/msg/PoseStamped"
-    with log.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema(name, "ros2msg", definition(name))
-        channel = writer.register_channel("/odom", "cdr", schema)
-        for n, (yaw, x, y) in enumerate(path.tolist()):
-            half = -math.radians(yaw) / 2
-            turned = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
-            pose = {"position": {"x": y, "y": -x, "z": 0.0}, "orientation": turned}
-            header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
-            time = round(n * 1e9 / RATE)
-            data = serialised(name, {"header": header, "pose": pose})
-            writer.add_message(channel, time, data, time)
-        writer.finish()
+    messages = []
+    for n, (yaw, x, y) in enumerate(path.tolist()):
+        half = -math.radians(yaw) / 2
+        turned = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+        pose = {"position": {"x": y, "y": -x, "z": 0.0}, "orientation": turned}
+        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
+        data = serialised(name, {"header": header, "pose": pose})
+        messages.append(("/odom", round(n * 1e9 / RATE), data))
+    mcap_file(log, messages, schema=name, schema_data=definition(name))
 
 
 # Faults
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "told"),
     [
-        ("--origin 54,10", 2, "--origin 54,10: expected 3 numbers separated by commas"),
-        ("--origin 90,10,0", 2, "LAT must be between -90 and 90"),
-        ("--drift 0.1", 2, "--drift 0.1: expected 2 numbers"),
-        ("--method nobody", 2, "no method 'nobody'"),
+        ("--origin 54,10", "3 numbers"),
+        ("--origin 90,10,0", "LAT"),
+        ("--drift 0.1", "2 numbers"),
+        ("--method nobody", "'nobody'"),
     ],
 )
-def test_faults_are_one_line(options: str, code: int, told: str, tmp_path: Path) -> None:
-    path = there_and_back(40)
-    folder = results(tmp_path / "dive", path, path)
-    done = sonarrec("map", folder, *shlex.split(options), code=code)
+def test_faults_are_one_line(options: str, told: str, dive: Path) -> None:
+    done = sonarrec("map", dive, *options.split(), code=2)
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
-    assert not (folder / "map").exists()
+    assert not (dive / "map").exists()
 
 
 @pytest.mark.parametrize(("here", "named"), [("dive", "."), ("dive/sub", "..")])
@@ -596,42 +574,36 @@ def test_poses_are_found_from_wherever_the_results_are_named(
 def test_what_is_left_out_is_told(dive: Path) -> None:
     """Poses end early; ten estimates are nearer than the floor, one of these without a pose."""
     poses = dive.parent / "dive.poses.csv"
-    estimates = dive / "estimates.csv"
-    rows = read_rows(estimates)
+    rows = read_rows(dive / "estimates.csv")
     end = int(rows[-1]["frame"]) - 5
     late = [row for row in rows if int(row["frame"]) >= end]
     for row in [late[0], *rows[:9]]:
         row["range_m"] = "0.6"
-    write_rows(estimates, rows)
+    write_rows(dive / "estimates.csv", rows)
     early = dive.parent / "early.csv"
     early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
     said = sonarrec("map", dive, "--odometry", early, code=3).stderr
-    assert f"{dive}: {len(late) + 9} of {len(rows)} declared estimates" in said
+    assert f"{dive}: {len(late) + 9} of {len(rows)} " in said
 
 
 def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
     path = there_and_back(40)
     folder = results(tmp_path / "dive", path, path)
     moved = write_poses(tmp_path / "dive.poses.csv", path + 1)
-    told = sonarrec("map", folder, code=1)
-    assert "have changed" in told.stderr
-    away = tmp_path / "elsewhere" / "poses.csv"
-    away.parent.mkdir()
-    sonarrec("map", folder, "--odometry", moved.rename(away))
+    assert "changed" in sonarrec("map", folder, code=1).stderr
+    sonarrec("map", folder, "--odometry", moved.rename(tmp_path / "elsewhere.csv"))
 
 
 def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None:
     path = there_and_back()
-    good = results(tmp_path / "out" / "good", path, path)
+    results(tmp_path / "out" / "good", path, path)
     bad = results(tmp_path / "out" / "bad", path, None)
-    done = sonarrec("map", tmp_path / "out", code=3)
-    assert f"{bad}: neither poses" in done.stderr
+    assert f"{bad}: " in sonarrec("map", tmp_path / "out", code=3).stderr
     assert len(read_rows(tmp_path / "out" / "map" / "map.csv")) == 3
     with pytest.raises(SonarrecError, match="neither poses"):
         make_map([bad])
-    with pytest.raises(UsageError, match="there are none"):
+    with pytest.raises(UsageError, match="none"):
         make_map([bad], drift=Drift(1, 1))
-    assert make_map([good]).diagnostics.problems == []
 
 
 @pytest.mark.usefixtures("pictures")
