@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,20 @@ BIN_M = 2.5 / 512
 RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M  # of their samples
 
 
+def changed(scene: Scene, **changes: Any) -> Scene:
+    """The scene with other values; a dictionary changes some of a section's."""
+    sections = {name for name, value in changes.items() if isinstance(value, dict)}
+    changes |= {name: replace(getattr(scene, name), **changes[name]) for name in sections}
+    return replace(scene, **changes)
+
+
+def looking(scene: Scene, pan_deg: float) -> Scene:
+    """The scene, seen from a still sonar that is turned so far to the right."""
+    return changed(
+        scene, motion=dict.fromkeys(("pan_min_deg", "pan_max_deg", "pan_start_deg"), pan_deg)
+    )
+
+
 def power(image: np.ndarray, scene: Scene) -> np.ndarray:
     """Undo the log compression."""
     decibel = image / 255 * scene.picture.dynamic_range_db + scene.picture.black_db
@@ -48,12 +63,11 @@ def power(image: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def mean_power(scene: Scene, frames: int) -> np.ndarray:
-    scene = replace(scene, frames=frames, floor=replace(scene.floor, speckle_s=1e-3))
+    scene = changed(scene, frames=frames, floor={"speckle_s": 1e-3})
     return np.asarray(np.mean([power(f.image, scene) for f in render(scene)], axis=0))
 
 
 def even_power(scene: Scene) -> np.ndarray:
     """The same of one frame of a world without speckle."""
-    scene = replace(scene, frames=1, floor=replace(scene.floor, coherence=0.0))
-    (frame,) = render(scene)
+    (frame,) = render(changed(scene, frames=1, floor={"coherence": 0.0}))
     return power(frame.image, scene)
