@@ -1,4 +1,4 @@
-"""Stage 2: particle groups on score maps with known peaks."""
+"""The table of tracks; stage 2: particle groups on score maps with known peaks."""
 
 import dataclasses
 import math
@@ -405,3 +405,37 @@ def test_with_too_little_in_view_what_comes_in_stays_and_what_goes_out_goes(way)
     if way == "out":
         assert list(groups["number"]) == []
         assert away(follow) == [1]
+
+
+def test_rows_begin_and_end_in_all_columns_at_once():
+    tracks = Tracks()
+    tracks.declare(position=np.array([1.0, 2.0]), pool=list, picture=None)
+    tracks.begin(3)
+    tracks["position"][1] = 5.0
+    for number, pool in zip(tracks["number"], tracks["pool"], strict=True):
+        pool.append(number)  # each has its own
+    before = tracks[tracks.in_view]
+    tracks.keep(tracks["number"] != 1)
+    new = tracks.begin(1)
+    assert tracks["number"].tolist() == [2, 3, 4]
+    assert tracks["position"][new].tolist() == [[1.0, 2.0]]
+    assert tracks["position"][0].tolist() == [5.0, 5.0]
+    assert tracks["pool"].tolist() == [[2], [3], []]
+    assert tracks["picture"].tolist() == [None] * 3
+    assert before["number"].tolist() == [1, 2, 3]
+
+
+def test_numbers_are_not_used_again_after_all_tracks_have_ended():
+    tracks = Tracks()
+    tracks.begin(2)
+    tracks.keep(np.zeros(2, bool))
+    assert len(tracks) == 0
+    tracks.begin(1)
+    assert tracks["number"].tolist() == [3]
+
+
+def test_remembered_tracks_are_not_in_view():
+    tracks = Tracks()
+    tracks.begin(3)
+    tracks["remembered"][1] = True
+    assert tracks["number"][tracks.in_view].tolist() == [1, 3]
