@@ -70,7 +70,7 @@ def as_rows(motions: list[Motion | None]) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def run_of(seed: int) -> tuple[VehicleRun, tuple[ByteImage, ...]]:
-    run = vehicle_run(seed, laps=1)
+    run = vehicle_run(seed)
     images = images_of(replace(run.scene, frames=FRAMES), run.poses()[:FRAMES], run.ground)
     return run, tuple(images)
 
@@ -173,7 +173,7 @@ def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: flo
 @pytest.mark.slow
 def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
     """Twelve frames at rest, thirty on the way, thirty at rest where it came to."""
-    run, _ = run_of(8700)
+    run, _ = run_of(8702)
     pose = run.poses()[:31]
     poses = [pose[0]] * 12 + pose + [pose[30]] * 30
     images = images_of(replace(run.scene, frames=len(poses)), poses, run.ground)

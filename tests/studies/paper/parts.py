@@ -46,33 +46,21 @@ class Parts:
     def _estimates(
         self, places: FloatArray, beliefs: FloatArray, scores: FloatArray
     ) -> list[Estimate]:
-        range_m, bearing_deg = polar_from_pixel(self._fan, *places.T)
-        return [
-            Estimate(
-                method=CONTINUITY,
-                object=i,
-                x_px=float(places[i, 0]),
-                y_px=float(places[i, 1]),
-                range_m=float(range_m[i]),
-                bearing_deg=float(bearing_deg[i]),
-                orientation_deg=np.nan,
-                existence=np.nan,
-                probabilities=np.append(beliefs[i], 0.0),
-                landmark=self._ids[beliefs[i].argmax()],
-                score=float(scores[i]),
-                declared=bool(scores[i] >= self._declare),
-            )
-            for i in range(len(places))
-        ]
+        polar = np.stack(polar_from_pixel(self._fan, *places.T), axis=-1)
+        made = []
+        for i, (belief, score) in enumerate(zip(beliefs, scores.tolist(), strict=True)):
+            place = *places[i].tolist(), *polar[i].tolist(), np.nan, np.nan
+            said = np.append(belief, 0.0), self._ids[belief.argmax()], score
+            made.append(Estimate(CONTINUITY, i, *place, *said, score >= self._declare))
+        return made
 
 
 def once(estimates: Sequence[Estimate]) -> list[Estimate]:
     """A method's estimates in one frame; of each ID all but the surest get score 0, as where the
     framework compares, and are not declared."""
     best = {e.landmark: e for e in sorted(estimates, key=lambda e: e.score)}
+    lost = {"score": 0.0, "declared": False}
     return [
-        replace(e, method=e.method + ONE)
-        if best[e.landmark] is e
-        else replace(e, method=e.method + ONE, score=0.0, declared=False)
+        replace(e, method=e.method + ONE, **({} if best[e.landmark] is e else lost))
         for e in estimates
     ]

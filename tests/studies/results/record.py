@@ -42,17 +42,12 @@ def judge(
 ) -> None:
     """Print a figure beside its goal, and keep it: at most the bound, or at least."""
     met = value >= bound if at_least else value <= bound
-    row = [
-        what,
-        format(value, form),
-        f"{'>=' if at_least else '<='} {bound:g}",
-        "yes" if met else "no",
-    ]
-    print(f"  {row[0]:<46} {row[1]:>9}  goal {row[2]}: {'met' if met else 'NOT met'}", flush=True)
+    measured, goal = format(value, form), f"{'>=' if at_least else '<='} {bound:g}"
+    print(f"  {what:<46} {measured:>9}  goal {goal}: {'met' if met else 'NOT met'}", flush=True)
     if not any(caption == GOALS for caption, _ in _shown):
         _shown.append((GOALS, []))
-    goals = next(lines for caption, lines in _shown if caption == GOALS)
-    goals.append(dict(zip(("what", "measured", "goal", "met"), row, strict=True)))
+    row = {"what": what, "measured": measured, "goal": goal, "met": "yes" if met else "no"}
+    next(lines for caption, lines in _shown if caption == GOALS).append(row)
 
 
 def seeds(text: str) -> range:
