@@ -129,44 +129,24 @@ def random_scene(
     """A recording of plates of the set and strangers, flat to tilted; least_db to 12 over
     what is round them."""
     rng = np.random.default_rng(seed)
-    known, strangers = sets or random_sets(rng)
+    u, (known, strangers) = rng.uniform, sets or random_sets(rng)
     plates = []
     for range_m, bearing_deg in PLACES:
         if (kind := rng.random()) < 0.15:
             continue
         chosen = known if kind < 0.7 else strangers
         hand = {"yes": True, "no": False, "either": bool(rng.integers(2))}[known.mirrored]
-        plates.append(
-            HeldPlate(
-                landmark=int(rng.choice(chosen.ids)),
-                range_m=range_m + rng.uniform(-0.08, 0.08),
-                bearing_deg=bearing_deg + rng.uniform(-3, 3),
-                turned_deg=rng.uniform(0, 360),
-                tilt_deg=rng.uniform(0, most_deg),
-                axis_deg=rng.uniform(-20, 20),
-                mirrored=hand,
-                bright_db=rng.uniform(least_db, 12),
-                dark_db=rng.uniform(-8, 0),
-                known=chosen is known,
-            )
-        )
-    return PlateScene(
-        landmark_set=known,
-        others=strangers,
-        plate=tuple(plates),
-        seed=seed,
-        frames=frames,
-        beams=192,
-        bins=320,
-        beam_width_deg=rng.uniform(0.4, 1.0),
-        pulse_m=rng.uniform(0.004, 0.02),
-        swing=rng.uniform(0, 0.6),
-        streaks=int(rng.integers(0, 5)),
-        light_db=rng.uniform(0, 4),
-        clutter=int(rng.integers(0, 5)),
-        floor_db=rng.uniform(8, 18),
-        blank_every=int(rng.choice([0, 7])),
-    )
+        number = int(rng.choice(chosen.ids))
+        place = {"range_m": range_m + u(-0.08, 0.08), "bearing_deg": bearing_deg + u(-3, 3)}
+        place |= {"turned_deg": u(0, 360), "tilt_deg": u(0, most_deg), "axis_deg": u(-20, 20)}
+        looks = {"mirrored": hand, "bright_db": u(least_db, 12), "dark_db": u(-8, 0)}
+        plates.append(HeldPlate(number, **place, **looks, known=chosen is known))
+    what = {"landmark_set": known, "others": strangers, "plate": tuple(plates)}
+    sonar = {"beams": 192, "bins": 320, "beam_width_deg": u(0.4, 1.0), "pulse_m": u(0.004, 0.02)}
+    water = {"swing": u(0, 0.6), "streaks": int(rng.integers(0, 5)), "light_db": u(0, 4)}
+    water |= {"clutter": int(rng.integers(0, 5)), "floor_db": u(8, 18)}
+    water |= {"blank_every": int(rng.choice([0, 7]))}
+    return PlateScene(**what, **sonar, **water, seed=seed, frames=frames)
 
 
 def stages_of(

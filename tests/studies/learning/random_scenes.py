@@ -30,7 +30,7 @@ from sonarrec.simulation.scene import (
     check_scene,
     position_of,
 )
-from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
+from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, rounded, vehicle_motion
 
 KINDS_OF_SCENE = (
     *("plain", "low_contrast", "window_1_25", "window_5", "jitter", "ring_widths", "fading"),
@@ -61,101 +61,67 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
         window = float(rng.choice([1.25, 2.5, 5.0, 10.0]))
         low, height, tilt = (1.25, 0.68, 20.0) if window < 5 else (1.5, 0.2 * window, 19.0)
         high = low + window
-    sonar = SonarSection(
-        range_min_m=low,
-        range_max_m=high,
-        range_bins=bins,
-        height_m=round(height * rng.uniform(0.9, 1.1), 3),
-        tilt_deg=round(tilt + rng.uniform(-2, 2), 2),
-        beam_width_deg=round(rng.uniform(0.32, 0.5), 3),
-        side_lobe_db=round(rng.uniform(-36, -26), 1),
-        stray_db=round(rng.uniform(-42, -29), 1),
-        cross_talk_db=round(rng.uniform(-42, -29), 1),
-        pulse_m=round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4),
-    )
+    r = rounded(rng)
+    window_m = {"range_min_m": low, "range_max_m": high, "range_bins": bins}
+    height_m = round(height * rng.uniform(0.9, 1.1), 3)
+    place = {"height_m": height_m, "tilt_deg": round(tilt + rng.uniform(-2, 2), 2)}
+    beams = {"beam_width_deg": r(0.32, 0.5, 3), "side_lobe_db": r(-36, -26, 1)}
+    beams |= {"stray_db": r(-42, -29, 1), "cross_talk_db": r(-42, -29, 1)}
+    pulse_m = round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4)
     if kind == "wide":
-        fan_deg = round(rng.uniform(115, 132), 1)
-        return replace(
-            sonar,
-            beams=int(rng.choice([256, 512])),
-            field_of_view_deg=fan_deg,
-            beam_width_deg=round(rng.uniform(0.8, 1.2), 3),
-            vertical_beam_deg=20.0,
-        )
+        view = {"field_of_view_deg": r(115, 132, 1), "beams": int(rng.choice([256, 512]))}
+        beams |= view | {"beam_width_deg": r(0.8, 1.2, 3), "vertical_beam_deg": 20.0}
     if kind in _UNSTEADY:
-        return replace(
-            sonar,
-            tilt_error_deg=round(rng.uniform(-3, 3), 2),
-            height_error_m=round(rng.uniform(-0.05, 0.05), 3),
-        )
-    return sonar
+        place |= {"tilt_error_deg": r(-3, 3, 2), "height_error_m": r(-0.05, 0.05, 3)}
+    return SonarSection(**window_m, **place, **beams, pulse_m=pulse_m)
 
 
 def _motion(kind: str, rng: np.random.Generator) -> MotionSection:
-    u, jitter = rng.uniform, kind in _UNSTEADY
-    return MotionSection(
-        pan_min_deg=-31,
-        pan_max_deg=31,
-        pan_start_deg=float(rng.integers(-31, 32)),
-        pan_deg_s=round(u(6, 12) if kind == "fast_pan" else u(1.6, 2.8), 2),
-        yaw_jitter_deg=round(u(0.2, 0.5) if jitter else u(0, 0.08), 3),
-        heave_m=round(u(0.01, 0.03) if jitter else u(0, 0.003), 4),
-        heave_period_s=round(u(4, 10), 1),
-        sway_x_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-        sway_y_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-    )
+    r, jitter = rounded(rng), kind in _UNSTEADY
+    pan = {"pan_min_deg": -31, "pan_max_deg": 31, "pan_start_deg": float(rng.integers(-31, 32))}
+    pan |= {"pan_deg_s": r(6, 12, 2) if kind == "fast_pan" else r(1.6, 2.8, 2)}
+    sway = {"yaw_jitter_deg": r(0.2, 0.5, 3) if jitter else r(0, 0.08, 3)}
+    sway |= {"heave_m": r(0.01, 0.03, 4) if jitter else r(0, 0.003, 4)}
+    sway |= {"heave_period_s": r(4, 10, 1)}
+    sway |= {name: r(0.01, 0.06, 3) if jitter else 0.0 for name in ("sway_x_m", "sway_y_m")}
+    return MotionSection(**pan, **sway)
 
 
 def _floor(rng: np.random.Generator) -> FloorSection:
-    u = rng.uniform
-    return FloorSection(
-        texture_db=round(u(0.6, 2.2), 2),
-        texture_m=round(u(0.08, 0.4), 3),
-        angle_exponent=round(u(0, 1.6), 2),
-        speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
-    )
+    r = rounded(rng)
+    texture = {"texture_db": r(0.6, 2.2, 2), "texture_m": r(0.08, 0.4, 3)}
+    angle_exponent, speckle_s = r(0, 1.6, 2), math.exp(rng.uniform(math.log(3), math.log(200)))
+    return FloorSection(**texture, angle_exponent=angle_exponent, speckle_s=round(speckle_s, 1))
 
 
 def _fading(kind: str, wide: bool, rng: np.random.Generator) -> FadingSection:
-    u, hard, most_db = rng.uniform, kind in _FADING, 4.5 if wide else 3.5
-    return FadingSection(
-        object_db=round(u(2, most_db) if hard else u(0.5, 2), 2),
-        patch_db=round(u(2, most_db) if hard else u(0.8, 2.4), 2),
-        patch_m=round(u(0.04, 0.12), 3),
-        time_s=round(u(2, 12), 1),
-        specular_db=round(u(0, 5), 2),
-        frame_probability=round(u(0.01, 0.06) if hard else u(0, 0.02), 4),
-        burst_probability=round(u(0.01, 0.03) if hard else u(0, 0.003), 4),
-        burst_frames=round(u(3, 10), 1),
-        depth_db=round(u(6, 12) if hard else u(4, 9), 1),
-        ghost_db=round(u(-16, -8) if hard or kind == "near_miss" else u(-24, -12), 1),
-        ghost_shift_m=round(u(0.03, 0.2), 3),
-        ghost_blur_m=round(u(0.02, 0.08), 3),
-    )
+    r, hard, most_db = rounded(rng), kind in _FADING, 4.5 if wide else 3.5
+    spread = {"object_db": r(2, most_db, 2) if hard else r(0.5, 2, 2)}
+    spread |= {"patch_db": r(2, most_db, 2) if hard else r(0.8, 2.4, 2)}
+    spread |= {"patch_m": r(0.04, 0.12, 3), "time_s": r(2, 12, 1), "specular_db": r(0, 5, 2)}
+    bursts = {"frame_probability": r(0.01, 0.06, 4) if hard else r(0, 0.02, 4)}
+    bursts |= {"burst_probability": r(0.01, 0.03, 4) if hard else r(0, 0.003, 4)}
+    bursts |= {"burst_frames": r(3, 10, 1), "depth_db": r(6, 12, 1) if hard else r(4, 9, 1)}
+    ghost = {"ghost_db": r(-16, -8, 1) if hard or kind == "near_miss" else r(-24, -12, 1)}
+    ghost |= {"ghost_shift_m": r(0.03, 0.2, 3), "ghost_blur_m": r(0.02, 0.08, 3)}
+    return FadingSection(**spread, **bursts, **ghost)
 
 
 def _noise(kind: str, wide: bool, rng: np.random.Generator) -> NoiseSection:
-    u, faint = rng.uniform, kind == "low_contrast"
+    r, faint = rounded(rng), kind == "low_contrast"
     least, most = (4 if wide else 8, 14) if faint else (10, 26)
-    return NoiseSection(
-        snr_db=9.0 if kind == "all_hard" else round(u(least, most), 1),
-        smear=round(u(0, 0.5), 2),
-        shadow_db=round(u(-20, -9), 1),
-        gain_drift_db=round(u(1.5, 4) if faint or kind in _FADING else u(0, 1.5), 2),
-        gain_drift_s=round(u(40, 200), 1),
-        group_gain_db=round(u(0.2, 1.2), 2),
-        beam_gain_db=round(u(0.1, 0.6), 2),
-        hot_beams=int(rng.integers(0, 5)),
-        hot_beam_db=round(u(1, 4), 2),
-    )
+    noise = {"snr_db": 9.0 if kind == "all_hard" else r(least, most, 1)}
+    noise |= {"smear": r(0, 0.5, 2), "shadow_db": r(-20, -9, 1)}
+    gain = {"gain_drift_db": r(1.5, 4, 2) if faint or kind in _FADING else r(0, 1.5, 2)}
+    gain |= {"gain_drift_s": r(40, 200, 1), "group_gain_db": r(0.2, 1.2, 2)}
+    gain |= {"beam_gain_db": r(0.1, 0.6, 2), "hot_beams": int(rng.integers(0, 5))}
+    return NoiseSection(**noise, **gain, hot_beam_db=r(1, 4, 2))
 
 
 def _picture(rng: np.random.Generator) -> PictureSection:
-    return PictureSection(
-        black_db=round(rng.uniform(-24, -12), 1),
-        dynamic_range_db=round(rng.uniform(40, 66), 1),
-        gamma=round(rng.uniform(0.8, 1.3), 2),
-    )
+    r = rounded(rng)
+    black_db, range_db = r(-24, -12, 1), r(40, 66, 1)
+    return PictureSection(black_db=black_db, dynamic_range_db=range_db, gamma=r(0.8, 1.3, 2))
 
 
 def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
