@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
+from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.sonar.geometry import (
     MAX_SIDE,
     PolarToFan,
@@ -28,14 +29,7 @@ from sonarrec.sonar.geometry import (
 )
 from sonarrec.sonar.stated import Sonar, load_sonar
 
-BASIN = Sonar(
-    layout="fan",
-    range_min_m=1.25,
-    range_max_m=3.75,
-    field_of_view_deg=28.8,
-    tilt_deg=20.0,
-    height_m=0.68,
-)
+BASIN = scene_sonar(Scene())
 
 sonars = st.builds(
     lambda low, window, view, tilt: Sonar(

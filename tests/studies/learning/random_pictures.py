@@ -348,14 +348,8 @@ def _draw(rng: Generator) -> Examples:
             label = MOST_IDS
     known = np.zeros((1, MOST_IDS, ANGLES), np.uint8)
     known[0, : len(codes)] = codes
-    return Examples(
-        brightness[None].astype(np.float16),
-        count[None].astype(np.float16),
-        np.full(1, 0.5, np.float32),  # drawn while learning, see network.py
-        np.full(1, smear, np.float32),
-        known,
-        np.full(1, len(codes)),
-        np.full(1, label),
-        np.full((1, ANGLES), lit),
-        np.ones(1),
-    )
+    seen = brightness[None].astype(np.float16), count[None].astype(np.float16)
+    existence = np.full(1, 0.5, np.float32)  # drawn while learning, see network.py
+    of_set = known, np.full(1, len(codes))
+    shown = np.full(1, label), np.full((1, ANGLES), lit), np.ones(1)
+    return Examples(*seen, existence, np.full(1, smear, np.float32), *of_set, *shown)

@@ -257,16 +257,12 @@ def _objects(
         names += fakes if kind in _FAKES else [*rng.choice(fakes, 1)]
     objects = []
     for name in map(str, names):
-        draft = PlacedObject(
-            name,
-            1.0,
-            0.0,
-            orientation_deg=round(rng.uniform(0, 360), 1),
-            size_m=_random_size(name, scene.landmark_set.radius_m, rng),
-            bright_db=round(KINDS[name][3] + (looks.bright - 12) + rng.normal(0, 1), 2),
-            plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
-            number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
-        )
+        size = {"orientation_deg": round(rng.uniform(0, 360), 1)}
+        size |= {"size_m": _random_size(name, scene.landmark_set.radius_m, rng)}
+        bright_db = round(KINDS[name][3] + (looks.bright - 12) + rng.normal(0, 1), 2)
+        levels = {"bright_db": bright_db, "plate_db": round(looks.plate + rng.normal(0, 0.7), 2)}
+        number = int(rng.integers(2**31)) if name in SYMBOLS else 0
+        draft = PlacedObject(name, 1.0, 0.0, **size, **levels, number=number)
         place = places.find(object_radius(scene, draft), looks.share)
         if place:
             objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
@@ -283,37 +279,27 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     """
     rng = np.random.default_rng([seed, ALL_KINDS.index(kind)])
     sonar = overrides.get("sonar") or _sonar(kind, rng)
-    scene = Scene(
-        name=f"{kind}_{seed}",
-        seed=seed,
-        landmark_set=overrides.get("landmark_set") or _landmark_set(kind, sonar, rng),
-        sonar=sonar,
-        motion=_motion(kind, rng),
-        floor=_floor(rng),
-        fading=_fading(kind, wide, rng),
-        noise=_noise(kind, wide, rng),
-        picture=_picture(rng),
-    )
+    discs = overrides.get("landmark_set") or _landmark_set(kind, sonar, rng)
+    parts = {"motion": _motion(kind, rng), "floor": _floor(rng)}
+    parts |= {"fading": _fading(kind, wide, rng), "noise": _noise(kind, wide, rng)}
+    parts |= {"sonar": sonar, "landmark_set": discs, "picture": _picture(rng)}
+    scene = Scene(name=f"{kind}_{seed}", seed=seed, **parts)
     if kind == "vehicle":
         motion = vehicle_motion(rng)
         scene = replace(scene, frames=RUN_FRAMES, motion=overrides.get("motion", motion))
     places = _FreePlaces(scene.sonar, rng, poses(scene) if kind == "vehicle" else None)
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
-    looks = _Looks(
-        bright=rng.uniform(9, 14) - faint,
-        plate=rng.uniform(-10, -4) + faint / 2,
-        # Far out the beam hardly reaches the floor, and no sonar would be used there.
-        share=0.6 if scene.sonar.range_max_m > 4 else 0.85,
-    )
+    # Far out the beam hardly reaches the floor, and no sonar would be used there.
+    share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
+    looks = _Looks(rng.uniform(9, 14) - faint, rng.uniform(-10, -4) + faint / 2, share)
     landmarks = _landmarks(kind, scene.landmark_set, places, looks, rng)
     objects = _objects(kind, scene, places, looks, rng)
     if kind == "occluded":
         objects += [_cover(landmark, scene.landmark_set.radius_m, rng) for landmark in landmarks]
     if rng.uniform() < 0.5 and kind != "vehicle":
         far = math.sqrt(scene.sonar.range_max_m**2 - scene.sonar.height_m**2)
-        objects.append(
-            PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
-        )
+        turn = round(rng.uniform(-12, 12), 1)
+        objects.append(PlacedObject("wall", round(0.95 * far, 3), 0.0, turn))
     drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
     drawn = replace(in_world(drawn, kind, rng), **overrides)
     check_scene(drawn, drawn.name)
@@ -334,9 +320,5 @@ def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) ->
     angle = rng.uniform(0, 2 * math.pi)
     x, y = position_of(landmark)
     x, y = x + away * math.cos(angle), y + away * math.sin(angle)
-    return PlacedObject(
-        "cover",
-        round(math.hypot(x, y), 3),
-        round(math.degrees(math.atan2(x, y)), 2),
-        size_m=round(disc_m * rng.uniform(0.5, 0.75), 3),
-    )
+    place = round(math.hypot(x, y), 3), round(math.degrees(math.atan2(x, y)), 2)
+    return PlacedObject("cover", *place, size_m=round(disc_m * rng.uniform(0.5, 0.75), 3))
