@@ -21,6 +21,7 @@ from sonarrec.sonar.frame import Estimate, Frame, FrameResult
 from sonarrec.sonar.geometry import fan_for_image
 from sonarrec.sonar.stated import Sonar
 from tests.studies.learning.random_scenes import random_scene
+from tests.support.bare import changed
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 from tests.support.slow import but_first
 
@@ -243,13 +244,13 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
     stage2 = DiscStages.stage2
-    monkeypatch.setattr(
-        DiscStages,
-        "stage2",
-        lambda self, frame, *of: seen.append(frame.index) or stage2(self, frame, *of),
-    )
-    log = still_log(3, 3)
-    side_by_side(log, "default", "paper", "offline")
+
+    def counted(self, frame, *rest):
+        seen.append(frame.index)
+        return stage2(self, frame, *rest)
+
+    monkeypatch.setattr(DiscStages, "stage2", counted)
+    side_by_side(still_log(3, 3), "default", "paper", "offline")
     assert seen == [0, 0, 1, 1, 2, 2]  # paper once, default and offline together once
 
 
@@ -310,9 +311,8 @@ def test_numbers_that_jump_change_nothing_in_hindsight():
     """As those of a log do of which many frames in a row cannot be used."""
     log = still_log(1, 30, hidden=range(8))[:24]
     jumping = [dataclasses.replace(f, index=f.index + 600 * (f.index > 11)) for f in log]
-    for one, other in zip(
-        side_by_side(log, "offline"), side_by_side(jumping, "offline"), strict=True
-    ):
+    both = (side_by_side(frames, "offline") for frames in (log, jumping))
+    for one, other in zip(*both, strict=True):
         assert rows(one, FRAMEWORK) == rows(other, FRAMEWORK)
 
 
@@ -335,19 +335,14 @@ def test_orientation_holds_past_what_the_sonar_is_carried_by():
     scene = random_scene(8721, "plain", frames=frames)
     step_m = 0.35 / scene.rate_hz
     path = [Pose(0.0, scene.sonar.height_m, (i - frames / 2) * step_m, 0.0) for i in range(frames)]
-    near, far = 0.7, scene.sonar.range_max_m + 1.0
-    ground = dataclasses.replace(
-        scene,
-        motion=dataclasses.replace(scene.motion, pan_min_deg=-70, pan_max_deg=70),
-        sonar=dataclasses.replace(scene.sonar, range_min_m=near, range_max_m=far),
-    )
+    wider = {"range_min_m": 0.7, "range_max_m": scene.sonar.range_max_m + 1.0}
+    ground = changed(scene, motion={"pan_min_deg": -70, "pan_max_deg": 70}, sonar=wider)
     seen = list(render(scene, path, ground))
     log = [Frame(f.index, f.timestamp_ns, f.image, f.fan) for f in seen]
     off: dict[str, list[float]] = {"default": [], "offline": []}
     settings = [config.preset(name) for name in off]
-    for frame, result in zip(
-        seen, SideBySide(settings, log[0].fan, scene.landmark_set).recognise(log), strict=True
-    ):
+    results = SideBySide(settings, log[0].fan, scene.landmark_set).recognise(log)
+    for frame, result in zip(seen, results, strict=True):
         true = {t.landmark: t.orientation_deg for t in frame.truth if t.visible > 0.99}
         for e in result.estimates:
             name = e.method.partition(":")[2]

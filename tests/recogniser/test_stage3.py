@@ -55,16 +55,6 @@ class Estimator:
         return self._measurement.update(track.with_columns(belief=belief), measured)
 
 
-@pytest.mark.parametrize(("frames", "belief"), [(4, 0.304), (16, 0.447), (32, 0.584), (100, 0.816)])
-def test_convergence_is_as_slow_as_the_paper_s_rule_makes_it(frames, belief):
-    model = measurement_model(BASIN, 2.5)
-    p = np.full((1, 4), 0.25)
-    for _ in range(frames):
-        p = update(p, ideal_q(1)[None], model)
-    # PAPER's figures come from a q of three digits, which moves the last of them by .003.
-    assert p[0, 0] == pytest.approx(belief, abs=3e-3)
-
-
 @settings(max_examples=30)
 @given(data=st.data(), n=st.integers(1, 4), k=st.integers(2, 6))
 def test_update_is_equations_6_to_8_written_out(data, n, k):
