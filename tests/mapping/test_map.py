@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 
@@ -101,10 +102,9 @@ def results(
                 common = rng.normal(0, SIGMA)
             track[disc] = frame, number, common
             noisy = exact + math.sqrt(0.5) * (common + rng.normal(0, SIGMA))
-            place, belief = (0.0, 0.0, *noisy[:2], noisy[2] % 360), (1.0, np.full(5, 0.2))
-            found.append(
-                Estimate("framework", number, *place, *belief, disc.id, 0.99, True, *SIGMA)
-            )
+            place = 0.0, 0.0, *noisy[:2], noisy[2] % 360
+            claim = 1.0, np.full(5, 0.2), disc.id, 0.99, True, *SIGMA
+            found.append(Estimate("framework", number, *place, *claim))
         rows.append(tuple(found))
     config = preset("default")
     sonar = Sonar(height_m=HEIGHT, tilt_deg=20.0, range_min_m=1.25, range_max_m=3.75)
@@ -112,9 +112,8 @@ def results(
     table["input"]["path"] = str(folder.parent / f"{folder.name}.mcap")
     if told is not None:
         poses = write_poses(folder.parent / f"{folder.name}.poses.csv", told)
-        table["odometry"] = dict(read_poses(poses).source)
-    if odometry is not None:
-        table["odometry"] = odometry
+        odometry = dict(read_poses(poses).source)
+    table |= {"odometry": odometry} if odometry else {}
     with ResultsWriter(folder, BASIN, table) as writer:
         for frame, found in enumerate(rows):
             writer.write(FrameResult(frame, round(frame * 1e9 / RATE), 0, 0, found))
@@ -123,9 +122,9 @@ def results(
 
 
 def write_poses(path: Path, poses: FloatArray) -> Path:
-    lines = [f"{n / RATE},{yaw},{x},{y}" for n, (yaw, x, y) in enumerate(poses.tolist())]
+    head, rows = ("timestamp", "yaw", "x", "y"), enumerate(poses.tolist())
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(["timestamp,yaw,x,y", *lines, ""]))
+    write_rows(path, [dict(zip(head, (n / RATE, *pose), strict=True)) for n, pose in rows])
     return path
 
 
@@ -174,10 +173,10 @@ def test_each_landmark_once_where_it_lies(mapped: Path) -> None:
 
 def test_a_symbol_that_looks_the_same_at_every_turn_has_no_orientation(dive: Path) -> None:
     """It is all bright; its mean of arbitrary turns was written, within the width of a sector."""
+    discs = {"name": "s", "radius_m": 0.15, "ring": [0.8, 1.0], "symbol": [0.0, 0.6]}
+    symbols = [{"id": i, "sectors": s} for i, s in ((1, [1, 0]), (2, [1, 1]))]
     given = dive.parent / "set.toml"
-    rows = [f"[[landmark]]\nid = {i}\nsectors = {s}\n" for i, s in ((1, [1, 0]), (2, [1, 1]))]
-    head = 'name = "s"\nradius_m = 0.15\nring = [0.8, 1.0]\nsymbol = [0.0, 0.6]\n'
-    given.write_text(head + "".join(rows))
+    given.write_text(tomli_w.dumps(discs | {"landmark": symbols}))
     told = sonarrec("map", dive, "--landmarks", given).stdout
     assert told.splitlines()[-1].split()[5:7] == ["-", "-"]
     for name, count in (("map", 3), ("passes", 6)):
@@ -343,17 +342,17 @@ def measured(
     folder: Path, path: FloatArray, sigma: Sequence[float], lost: int | None = None
 ) -> None:
     """Replace frames.csv by one with the motion measured between frames."""
-    lines = ["frame,timestamp_ns,dx_m,dy_m,dyaw_deg,dx_sigma_m,dy_sigma_m,dyaw_sigma_deg"]
-    for n in range(len(path)):
-        right, ahead, turn = 0.0, 0.0, 0.0
-        if n:
-            yaw, x, y = path[n - 1]
-            cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
-            dx, dy = path[n, 1:] - (x, y)
-            right, ahead, turn = dx * cos - dy * sin, dx * sin + dy * cos, path[n, 0] - yaw
-        told = ["nan"] * 3 if n == lost else [f"{v:.9f}" for v in (right, ahead, turn)]
-        lines.append(",".join([str(n), str(n * 10**8), *told, *map(str, sigma)]))
-    (folder / "frames.csv").write_text("\n".join([*lines, ""]))
+    head = ["frame", "timestamp_ns", "dx_m", "dy_m", "dyaw_deg"]
+    head += ["dx_sigma_m", "dy_sigma_m", "dyaw_sigma_deg"]
+    rows = []
+    for n, pose in enumerate(path):
+        yaw, x, y = path[max(n - 1, 0)]
+        cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+        dx, dy = pose[1:] - (x, y)
+        moved = dx * cos - dy * sin, dx * sin + dy * cos, pose[0] - yaw
+        told = ["nan"] * 3 if n == lost else [f"{v:.9f}" for v in moved]
+        rows.append(dict(zip(head, (n, n * 10**8, *told, *sigma), strict=True)))
+    write_rows(folder / "frames.csv", rows)
 
 
 def test_without_poses_the_map_is_relative_to_the_first_frame(tmp_path: Path) -> None:
@@ -403,9 +402,8 @@ def earth(longitude: float, latitude: float) -> FloatArray:
     lon, lat = math.radians(longitude), math.radians(latitude)
     n = 6378137 / math.sqrt(1 - 0.00669437999014 * math.sin(lat) ** 2)
     flat = n * math.cos(lat)
-    return np.array(
-        [flat * math.cos(lon), flat * math.sin(lon), n * (1 - 0.00669437999014) * math.sin(lat)]
-    )
+    up = n * (1 - 0.00669437999014) * math.sin(lat)
+    return np.array([flat * math.cos(lon), flat * math.sin(lon), up])
 
 
 def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
@@ -416,9 +414,8 @@ def test_geojson_lies_where_the_map_says(mapped: Path) -> None:
     assert [f["properties"]["landmark"] for f in points] == [int(r["landmark"]) for r in rows]
     lat, lon = math.radians(54.3233), math.radians(10.1394)
     east = np.array([-math.sin(lon), math.cos(lon), 0])
-    north = np.array(
-        [-math.sin(lat) * math.cos(lon), -math.sin(lat) * math.sin(lon), math.cos(lat)]
-    )
+    up = np.array([math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)])
+    north = np.cross(up, east)
     for feature, row in zip(points, rows, strict=True):
         away = earth(*feature["geometry"]["coordinates"]) - earth(10.1394, 54.3233)
         heading = math.degrees(math.atan2(away @ east, away @ north))
@@ -556,42 +553,35 @@ def test_faults_are_one_line(options: str, told: str, dive: Path) -> None:
 
 
 @pytest.mark.parametrize(("here", "named"), [("dive", "."), ("dive/sub", "..")])
-def test_poses_are_found_from_wherever_the_results_are_named(
-    here: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poses_are_found_from_wherever_the_results_are_named(here, named, dive, monkeypatch):
     """They lie beside the results; the log is elsewhere."""
-    folder = results(tmp_path / "dive", there_and_back(20), there_and_back(20))
-    told = (folder / "run.toml").read_text()
-    log = str(tmp_path / "dive.mcap")
+    told = (dive / "run.toml").read_text()
+    log = str(dive.parent / "dive.mcap")
     assert log in told
-    (folder / "run.toml").write_text(told.replace(log, "elsewhere/dive.mcap"))
-    (folder / "sub").mkdir()
-    monkeypatch.chdir(tmp_path / here)
+    (dive / "run.toml").write_text(told.replace(log, "elsewhere/dive.mcap"))
+    (dive / "sub").mkdir()
+    monkeypatch.chdir(dive.parent / here)
     sonarrec("map", named)
-    assert read_rows(folder / "map" / "map.csv")
+    assert read_rows(dive / "map" / "map.csv")
 
 
 def test_what_is_left_out_is_told(dive: Path) -> None:
     """Poses end early; ten estimates are nearer than the floor, one of these without a pose."""
-    poses = dive.parent / "dive.poses.csv"
     rows = read_rows(dive / "estimates.csv")
     end = int(rows[-1]["frame"]) - 5
     late = [row for row in rows if int(row["frame"]) >= end]
     for row in [late[0], *rows[:9]]:
         row["range_m"] = "0.6"
     write_rows(dive / "estimates.csv", rows)
-    early = dive.parent / "early.csv"
-    early.write_text("\n".join(poses.read_text().splitlines()[: end + 1]) + "\n")
+    early = write_poses(dive.parent / "early.csv", there_and_back()[:end])
     said = sonarrec("map", dive, "--odometry", early, code=3).stderr
     assert f"{dive}: {len(late) + 9} of {len(rows)} " in said
 
 
-def test_poses_that_changed_are_refused(tmp_path: Path) -> None:
-    path = there_and_back(40)
-    folder = results(tmp_path / "dive", path, path)
-    moved = write_poses(tmp_path / "dive.poses.csv", path + 1)
-    assert "changed" in sonarrec("map", folder, code=1).stderr
-    sonarrec("map", folder, "--odometry", moved.rename(tmp_path / "elsewhere.csv"))
+def test_poses_that_changed_are_refused(dive: Path) -> None:
+    moved = write_poses(dive.parent / "dive.poses.csv", there_and_back() + 1)
+    assert "changed" in sonarrec("map", dive, code=1).stderr
+    sonarrec("map", dive, "--odometry", moved.rename(dive.parent / "elsewhere.csv"))
 
 
 def test_one_log_that_cannot_be_mapped_costs_itself_only(tmp_path: Path) -> None:

@@ -40,9 +40,9 @@ def wide(tmp_path: Path) -> Path:
     ("view_deg", "beams", "usual_deg", "polar_deg"),
     [(130, 512, 1, 0.51), (130, 256, 1, 1), (28.8, 96, 0.4, 0.4), (60, 512, 0.6, 0.23)],
 )
-def test_the_usual_width_follows_from_the_view_and_is_at_most_two_beams(
-    view_deg: float, beams: int, usual_deg: float, polar_deg: float
-) -> None:
+def test_the_usual_width_is_by_the_view_and_at_most_two_beams(
+    view_deg, beams, usual_deg, polar_deg
+):
     polar = SimpleNamespace(beam_deg=view_deg / beams)
     for shown_as, width_deg in ((None, usual_deg), (polar, polar_deg)):
         first = Frame(0, 0, np.empty(0), make_fan(field_of_view_deg=view_deg), polar=shown_as)
@@ -69,9 +69,7 @@ def test_a_run_says_and_keeps_what_it_took(wide: Path, tmp_path: Path) -> None:
     assert told_by("own", "--set", "features.beam_width_deg=0.5") == (False, 0.5)
 
 
-def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
-    wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(wide, tmp_path, monkeypatch):
     default = preset("default")  # such pings show no discs: any ring will do
     rings = replace(default, candidates=replace(default.candidates, threshold=0.2))
     written = read_results(run(wide, tmp_path / "out", preset=rings).folder)

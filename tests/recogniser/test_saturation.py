@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,9 +136,7 @@ def test_landmarks_are_recognised_and_a_note_tells(tmp_path: Path, sample: str) 
         (lambda levels: 255.0 * (levels > 110), "masks"),
     ],
 )
-def test_gain_is_blamed_only_where_it_may_be_the_cause(
-    change: Callable[[np.ndarray], np.ndarray], told: str
-) -> None:
+def test_gain_is_blamed_only_where_it_may_be_the_cause(change, told: str) -> None:
     levels = Levels(RADIUS_M)
     list(levels.restored([frame(np.asarray(change(disc(1)), float))]))
     assert levels.saturated
