@@ -15,7 +15,7 @@ from sonarrec.simulation.motion import poses
 from sonarrec.sonar.frame import Estimate
 from tests.studies import baseline, bench, scenes
 from tests.studies.learning.built_in import MODEL_SEEDS
-from tests.studies.paper import parts, prediction, readings, search, world
+from tests.studies.paper import parts, prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
 from tests.studies.paper.world import kept_worlds
 from tests.support.counted import counted
@@ -98,7 +98,7 @@ def test_a_recording_is_scored_by_every_method(tmp_path: Path) -> None:
     assert tables[0] != tables[1]  # other particles
     # Readings are compared with SMI and the preset as they are in the first folder.
     read = counted(score([tmp_path / "readings"]))
-    assert {method for _, method in read} == {*prediction.PLAIN.values(), *readings.READINGS}
+    assert {method for _, method in read} == {*prediction.PLAIN.values(), *parts.READINGS}
     for method in prediction.PLAIN.values():
         assert read["paper", method] == counts["paper", method]
         assert read["strict", method] == counts["strict", method]
@@ -141,12 +141,12 @@ def test_the_tpr_at_an_fpr_is_that_of_counting_at_every_score(
     # One claim of an ID and frame: no method has more hits than landmarks in view.
     assert (group.tpr_at("SMI", "paper", 1) >= group.tpr_at("SMI, one claim", "paper", 1)).all()
     lines = prediction.reading_lines(prediction.grouped(worlds, jobs, readings=True))
-    assert [line["reading"] for line in lines[2:]] == [*readings.READINGS]
+    assert [line["reading"] for line in lines[2:]] == [*parts.READINGS]
 
 
 def test_readings_are_the_formulas_as_printed_and_one_choice_each() -> None:
     paper = preset("paper")
-    printed, *others = (with_table(paper, t, "") for t in readings.READINGS.values())
+    printed, *others = (with_table(paper, t, "") for t in parts.READINGS.values())
     assert printed.continuity.hit_power == printed.features.distance_power == 1
     assert printed.features.least_ring == printed.continuity.least_in_view == 0
     for other in others:

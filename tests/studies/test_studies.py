@@ -19,8 +19,7 @@ from sonarrec.sonar.geometry import pixel_from_polar
 from tests.studies import tolerances
 from tests.studies.baseline import HoughSmi, MajorityTracks, Settings, Sight
 from tests.studies.bench import PARTS, wide
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, joined_examples
-from tests.studies.learning.random_pictures import draw
+from tests.studies.learning.random_pictures import MOST_IDS, UNKNOWN, draw, joined_examples
 from tests.support.batch import peak_mb
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
 

@@ -24,9 +24,14 @@ from sonarrec.simulation.render import render
 from sonarrec.simulation.truth import Truth
 from sonarrec.sonar.frame import Frame
 from sonarrec.sonar.geometry import plane_from_polar
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples, joined_examples
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
-from tests.studies.learning.random_pictures import draw
+from tests.studies.learning.random_pictures import (
+    MOST_IDS,
+    UNKNOWN,
+    Examples,
+    draw,
+    joined_examples,
+)
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from tests.support.simulated import in_processes
 

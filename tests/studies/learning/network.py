@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage3.reader import (
     seen_directions,
 )
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples, joined_examples
+from tests.studies.learning.random_pictures import MOST_IDS, UNKNOWN, Examples, joined_examples
 
 CHANNELS, HIDDEN = 32, 32
 STEPS, BATCH, MOST_RATE = 14_000, 256, 4e-3

@@ -11,18 +11,47 @@ contrast, discs half under silt, black areas behind stones and tyres, letters an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.random import Generator
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.recogniser.stage3.reader import THETA
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, ShapeSampler
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
 from tests.studies.learning.random_scenes import unlike_codes
+
+MOST_IDS = 12  # of a set, while learning
+UNKNOWN = -1
+
+
+class Examples(NamedTuple):
+    """n averaged shape matrices, as Pictures has them, with what they show.
+
+    brightness, count: (n, L, ANGLES). existence, smear: (n,). codes: (n, MOST_IDS, ANGLES) of each
+    one's set, zeros beyond its IDs. ids: (n,) how many these are. label: (n,) index of the ID,
+    MOST_IDS for none. lit: (n, ANGLES) whether the symbol is lit in a direction, UNKNOWN where that
+    is not known. weight: (n,) how often it is learned from, relative to the others.
+    """
+
+    brightness: FloatArray
+    count: FloatArray
+    existence: FloatArray
+    smear: FloatArray
+    codes: FloatArray
+    ids: IntArray
+    label: IntArray
+    lit: IntArray
+    weight: FloatArray
+
+
+def joined_examples(parts: Sequence[Examples]) -> Examples:
+    """Examples of several parts as one."""
+    return Examples(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
 
 SIZE, RADIUS = 48, 14.0  # of a picture and of the disc in it, in pixels
 CENTRE = (SIZE - 1) / 2

@@ -41,9 +41,8 @@ from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_in_view, truth_rows
 from sonarrec.sonar.frame import Frame, FrameResult
 from sonarrec.truth.table import write_truth
-from tests.studies.paper.parts import CONTINUITY, ONE, Parts
+from tests.studies.paper.parts import CONTINUITY, ONE, READINGS, Parts, Readings
 from tests.studies.paper.published import CLEAR, HALF, IDS, TABLE_4, TABLE_5, WHOLE
-from tests.studies.paper.readings import READINGS, Readings
 from tests.studies.paper.search import HERE, meets
 from tests.studies.paper.world import FAKES, World, kept_worlds
 from tests.studies.results.record import options, save, show
