@@ -38,7 +38,7 @@ def wide(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("view_deg", "beams", "usual_deg", "polar_deg"),
-    [(130, 512, 1, 0.51), (130, 256, 1, 1), (28.8, 96, 0.4, 0.4), (60, 512, 0.6, 0.23)],
+    [(39, 96, 0.4, 0.4), (41, 512, 0.6, 0.16), (81, 512, 1, 0.32), (130, 256, 1, 1)],
 )
 def test_the_usual_width_is_by_the_view_and_at_most_two_beams(
     view_deg, beams, usual_deg, polar_deg
