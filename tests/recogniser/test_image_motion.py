@@ -210,7 +210,7 @@ def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
 
 @pytest.mark.slow
 def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
-    """Frames a lap apart, and noise: any motion that a slow vehicle can make lies within sigma."""
+    """Noise, and black frames: any motion that a slow vehicle can make lies within sigma."""
     run, images = run_of(8700)
     rng = np.random.default_rng(1)
     for frames in ([noise(images[0], rng) for _ in range(12)], [np.zeros_like(images[0])] * 4):
