@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
+from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.sonar.geometry import (
     MAX_SIDE,
     PolarToFan,
@@ -28,23 +29,13 @@ from sonarrec.sonar.geometry import (
 )
 from sonarrec.sonar.stated import Sonar, load_sonar
 
-BASIN = Sonar(
-    layout="fan",
-    range_min_m=1.25,
-    range_max_m=3.75,
-    field_of_view_deg=28.8,
-    tilt_deg=20.0,
-    height_m=0.68,
-)
+BASIN = scene_sonar(Scene())
 
 sonars = st.builds(
     lambda low, window, view, tilt: Sonar(
         range_min_m=low, range_max_m=low + window, field_of_view_deg=view, tilt_deg=tilt
     ),
-    st.floats(0, 20),
-    st.floats(0.5, 30),
-    st.floats(5, 150),
-    st.floats(0, 60),
+    *(st.floats(*span) for span in ((0, 20), (0.5, 30), (5, 150), (0, 60))),
 )
 
 
@@ -70,6 +61,7 @@ def test_stated_scale_and_apex_count() -> None:
     assert [float(v) for v in pixel_from_polar(fan, 1.0, 0.0)] == [262, 469]
 
 
+@settings(max_examples=20)
 @given(sonars, st.floats(0.01, 50), st.floats(-89, 89))
 def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
     for fan in (
@@ -85,8 +77,6 @@ def test_round_trip(sonar: Sonar, range_m: float, bearing: float) -> None:
 def test_the_polar_fan_holds_the_whole_window(sonar: Sonar, bins: int) -> None:
     """Every point of the window falls into the image, and no row or column is there for nothing."""
     fan = fan_for_polar(sonar.complete("test"), bins)
-    assert sonar.range_min_m is not None
-    assert sonar.range_max_m is not None
     bearing = np.linspace(fan.bearing_min_deg, fan.bearing_max_deg, 201)
     for range_m in (sonar.range_min_m, sonar.range_max_m):
         column, row = pixel_from_polar(fan, range_m, bearing)
@@ -140,15 +130,13 @@ def brute_fan(sonar: Sonar, polar: np.ndarray, bearings: np.ndarray) -> np.ndarr
 def test_polar_to_fan_against_a_loop(uneven: bool, falling: bool) -> None:
     polar = np.random.default_rng(0).integers(0, 256, (40, 24), dtype=np.uint8)
     bearings = -14.4 + 28.8 * (np.arange(24) + 0.5) / 24
-    sonar = BASIN
+    sonar, order = BASIN, slice(None, None, -1 if falling else 1)
     if uneven:
         bearings = bearings * (1 + 0.02 * np.abs(bearings))
-        stated = bearings[::-1] if falling else bearings
-        sonar = BASIN.updated(Sonar(bearings_deg=tuple(float(b) for b in stated)))
+        sonar = BASIN.updated(Sonar(bearings_deg=tuple(bearings[order].tolist())))
     expected = brute_fan(sonar, polar.astype(float), bearings)
-    found = PolarToFan(sonar.complete("test"), 40, 24)(
-        np.ascontiguousarray(polar[:, ::-1]) if falling else polar
-    )
+    to_fan = PolarToFan(sonar.complete("test"), 40, 24)
+    found = to_fan(np.ascontiguousarray(polar[:, order]))
     # cv2.remap places to 1/32 pixel: at most 255 / 32 grey levels in either direction.
     assert np.abs(found - expected).max() <= 16
     assert np.abs(found - expected).mean() < 2
@@ -171,29 +159,27 @@ def test_every_filled_pixel_is_resampled_and_no_other(side: int) -> None:
         np.testing.assert_array_equal(resampling(image)[band], expected[band])
 
 
-def test_bearings_must_match_the_beams() -> None:
-    sonar = BASIN.updated(Sonar(bearings_deg=(-1.0, 0.0, 1.0)))
-    with pytest.raises(SonarrecError, match="images have 4 beams"):
-        PolarToFan(sonar.complete("test"), 10, 4)
-    sonar = BASIN.updated(Sonar(ranges_m=(1.5, 2.0, 3.0)))
-    with pytest.raises(SonarrecError, match="images have 10 range bins"):
-        PolarToFan(sonar.complete("test"), 10, 4)
-
-
-def test_a_fan_of_too_many_pixels_is_put_down_to_the_range_bins() -> None:
-    sonar = BASIN.updated(Sonar(field_of_view_deg=130.0, range_min_m=0.5, range_max_m=5.5))
-    told = r"of 3400 range bins up to 5\.5 m make a fan image .* crop or shrink the images"
+@pytest.mark.parametrize(
+    ("change", "bins", "beams", "told"),
+    [
+        ({"bearings_deg": (-1.0, 0.0, 1.0)}, 10, 4, "4 beams"),
+        ({"ranges_m": (1.5, 2.0, 3.0)}, 10, 4, "10 range bins"),
+        # A fan of too many pixels is put down to the range bins.
+        ({"field_of_view_deg": 130.0, "range_max_m": 5.5}, 4000, 64, r"4000 range bins .* 5\.5 m"),
+    ],
+)
+def test_images_that_cannot_be_as_stated(
+    change: dict[str, Any], bins: int, beams: int, told: str
+) -> None:
     with pytest.raises(SonarrecError, match=told):
-        PolarToFan(sonar.complete("test"), 3400, 64)
+        PolarToFan(BASIN.updated(Sonar(**change)).complete("test"), bins, beams)
 
 
 def test_images_with_a_side_too_long_to_resample() -> None:
     """OpenCV's remap takes no more, neither of what it reads nor of what it makes."""
     narrow = BASIN.updated(Sonar(field_of_view_deg=0.05, range_min_m=0.5, range_max_m=300.0))
     far = BASIN.updated(Sonar(field_of_view_deg=2.0, range_min_m=1000.0, range_max_m=1000.2))
-    for sonar, bins, beams in (
-        (narrow, MAX_SIDE + 1, 3), (BASIN, 20, MAX_SIDE + 1), (far, 190, 2),
-    ):  # fmt: skip
+    for sonar, bins, beams in ((narrow, MAX_SIDE + 1, 3), (BASIN, 20, MAX_SIDE + 1), (far, 190, 2)):
         with pytest.raises(SonarrecError, match="32766 along"):
             PolarToFan(sonar.complete("test"), bins, beams)
     near = BASIN.updated(Sonar(field_of_view_deg=0.01, range_min_m=0.0, range_max_m=300.0))
@@ -205,24 +191,22 @@ def test_images_with_a_side_too_long_to_resample() -> None:
 # The floor
 
 
+FLAT = Sonar(range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20)
+
+
 def test_floor_by_hand() -> None:
     fan = fan_for_image(BASIN.complete("test"), 512, 381)
     assert float(ground_range(fan, 2.0)) == pytest.approx(math.sqrt(4 - 0.68**2))
     assert np.isnan(ground_range(fan, 0.5))
-    unknown = fan_for_image(BASIN.updated(Sonar()).complete("test"), 512, 381)
-    assert unknown == fan
-    flat = Sonar(range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20)
-    flat = fan_for_image(flat.complete("test"), 100, 80)
+    flat = fan_for_image(FLAT.complete("test"), 100, 80)
     # Without a height the beam's axis meets the floor mid-window, and Eq. 1 is exact there.
     slope = float(slant_range(flat, ground_range(flat, 1.5) + 1e-6)) - 1.5
     assert slope / 1e-6 == pytest.approx(math.cos(math.radians(20)), abs=1e-3)
 
 
-@given(st.floats(0.7, 100), st.booleans())
-def test_ground_range_round_trip(range_m: float, with_height: bool) -> None:
-    sonar = BASIN if with_height else Sonar(
-        range_min_m=1.0, range_max_m=2.0, field_of_view_deg=30, tilt_deg=20
-    )  # fmt: skip
+@settings(max_examples=20)
+@given(st.floats(0.7, 100), st.sampled_from([BASIN, FLAT]))
+def test_ground_range_round_trip(range_m: float, sonar: Sonar) -> None:
     fan = fan_for_image(sonar.complete("test"), 100, 80)
     assert float(slant_range(fan, ground_range(fan, range_m))) == pytest.approx(range_m)
 
@@ -233,16 +217,13 @@ def test_ground_range_round_trip(range_m: float, with_height: bool) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", r"expected one table \[sonar\]"),
-        ("[sonar]\n[other]", r"expected one table \[sonar\]"),
-        ("sonar = 3", r"\[sonar\] must be a table of keys, not 3"),
-        (
-            "[sonar]\nrange_mim_m = 1",
-            r"unknown key sonar.range_mim_m \(did you mean range_min_m\?\)",
-        ),
+        ("", r"one table \[sonar\]"),
+        ("[sonar]\n[other]", r"one table \[sonar\]"),
+        ("sonar = 3", r"\[sonar\] must .* not 3"),
+        ("[sonar]\nrange_mim_m = 1", r"sonar.range_mim_m \(did you mean range_min_m\?\)"),
         ('[sonar]\nlayout = "round"', 'layout must be "fan" or "polar"'),
-        ("[sonar]\napex_px = [1]", r"sonar.apex_px must be a list of 2, each a finite number, not"),
-        ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list, each a finite number, not"),
+        ("[sonar]\napex_px = [1]", r"sonar.apex_px must be a list of 2"),
+        ('[sonar]\nbearings_deg = ["a"]', "bearings_deg must be a list"),
     ],
 )  # numbers, and files that cannot be read: tests/tables/test_toml.py
 def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path) -> None:
@@ -261,11 +242,11 @@ def test_a_sonar_toml_that_cannot_be_meant(text: str, says: str, tmp_path: Path)
         ({"tilt_deg": 90.0}, "tilt_deg = 90"),
         ({"height_m": 4.0}, "height_m = 4"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz = 0"),
-        ({"beam_width_deg": 0.0}, "beam_width_deg = 0 must be above 0, and at most 5"),
+        ({"beam_width_deg": 0.0}, "beam_width_deg = 0"),
         ({"beam_width_deg": 5.1}, "beam_width_deg = 5.1"),
         ({"metres_per_pixel": -1.0}, "metres_per_pixel = -1"),
-        ({"bearings_deg": ()}, "bearings_deg must rise or fall"),
-        ({"bearings_deg": (0.0, 2.0, 1.0)}, "bearings_deg must rise or fall"),
+        ({"bearings_deg": ()}, "rise or fall"),
+        ({"bearings_deg": (0.0, 2.0, 1.0)}, "rise or fall"),
         ({"bearings_deg": (0.0, 90.0)}, "between -90 and 90"),
     ],
 )

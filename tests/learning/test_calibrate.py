@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,8 @@ from sonarrec.landmarks import BUILT_IN, load_landmarks
 from sonarrec.recogniser.stage3.model_file import as_toml, built_in_weights
 from sonarrec.simulation.simulate import write_recording
 from tests.studies.learning.random_scenes import random_scene
-from tests.support.command import sonarrec
+from tests.support.command import sample_log, sonarrec
+from tests.support.rows import read_rows, write_rows
 
 BASIN = load_landmarks("basin")
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
@@ -34,34 +34,26 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_recording(
             replace(scene, name=name, frames=70, landmarks=faint, motion=motion), folder / name
         )
-    with (folder / "gt.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        for number, name in enumerate(("one", "two")):
-            with (folder / name / "gt.csv").open(newline="") as part:
-                head, *lines = csv.reader(part)
-            table.writerows(([["log", *head]] if not number else []) + [[name, *r] for r in lines])
+    truth = [{"log": n} | row for n in ("one", "two") for row in read_rows(folder / n / "gt.csv")]
+    write_rows(folder / "gt.csv", truth)
     return folder
 
 
 def strict(results: Path, truth: Path) -> tuple[float, float]:
     """TPR and FPR of the framework in total."""
     sonarrec("evaluate", "--ground-truth", truth, results, "-q")
-    with (results / "evaluation" / "confusion.csv").open(newline="") as file:
-        (row,) = (
-            r
-            for r in csv.DictReader(file)
-            if (r["protocol"], r["method"], r["landmark"]) == ("strict", "framework", "total")
-        )
+    rows = read_rows(results / "evaluation" / "confusion.csv")
+    wanted = {"protocol": "strict", "method": "framework", "landmark": "total"}
+    (row,) = (r for r in rows if wanted.items() <= r.items())
     return float(row["tpr"]), float(row["fpr"])
 
 
 @pytest.mark.slow
 def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    told = sonarrec(
-        "calibrate", site / "one", site / "two", "--ground-truth", site / "gt.csv", "-o", "my.toml"
-    )
-    assert "learned from 140 frames" in told.stdout
+    truth = ("--ground-truth", site / "gt.csv")
+    told = sonarrec("calibrate", site / "one", site / "two", *truth, "-o", "my.toml")
+    assert "140 frames" in told.stdout
     assert "none of these" in told.stdout
     sonarrec("run", site / "three", "--out", "built_in")
     sonarrec("run", site / "three", "--out", "learned", "--model", "my.toml")
@@ -79,23 +71,9 @@ def test_a_model_of_ones_own_serves_logs_it_has_not_seen(site, tmp_path, monkeyp
         assert again.read_bytes() == (Path("learned/three") / file).read_bytes()
 
 
-def part_of_sample(folder: Path, *names: str) -> Path:
-    """The first 12 frames of the sample log, with these of its files beside them."""
-    folder.mkdir(parents=True)
-    for name in (*names, *(f"{n:06d}.png" for n in range(12))):
-        (folder / name).write_bytes((SAMPLES / "pan" / name).read_bytes())
-    return folder
-
-
-def sample_rows(end: int) -> tuple[str, list[str]]:
-    """(header, rows of the first frames) of the sample log's gt.csv."""
-    head, *rows = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
-    return head, [row for row in rows if int(row.partition(",")[0]) < end]
-
-
-def labelled(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
+def sample_rows(end: int) -> list[dict[str, str]]:
+    """The first frames' rows of the sample log's gt.csv."""
+    return [row for row in read_rows(SAMPLES / "pan" / "gt.csv") if int(row["frame"]) < end]
 
 
 HEAD = "frame,landmark,range_m,bearing_deg"
@@ -105,22 +83,19 @@ HEAD = "frame,landmark,range_m,bearing_deg"
     ("text", "arguments", "code", "told"),
     [
         (f"{HEAD}\n", (), 1, "no landmark"),
-        (f"{HEAD}\n500,1,2,0\n", (), 1, "truth of another log?"),
-        (f"log,{HEAD}\nother,1,1,2,0\n", (), 1, "names none of pan"),
-        ("frame,landmark\n1,1\n", (), 1, "needs positions"),
-        (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "is adapted for discs"),
-        (f"{HEAD}\n1,1,2,0\n", ("--landmarks", "actag24h10"), 2, "is adapted for discs"),
-        (f"{HEAD}\n1,1,2,0\n", ("TWO",), 2, "log column"),
-        (f"log,{HEAD}\npan,1,1,2,0\n", ("SAME",), 2, "second log 'pan'"),
-        (f"{HEAD}\n1,none,2,0\n", (), 1, "no landmark in all"),
+        (f"{HEAD}\n500,1,2,0\n", (), 1, "another log"),
+        (f"log,{HEAD}\nother,1,1,2,0\n", (), 1, "none of pan"),
+        ("frame,landmark\n1,1\n", (), 1, "positions"),
+        (f"{HEAD}\n1,1,2,0\n", ("--set", "features.measurement=single"), 2, "for discs"),
+        (f"{HEAD}\n1,1,2,0\n", ("--landmarks", "actag24h10"), 2, "for discs"),
+        (f"{HEAD}\n1,1,2,0\n", (SAMPLES / "polar",), 2, "log column"),
+        (f"log,{HEAD}\npan,1,1,2,0\n", (SAMPLES / "pan",), 2, "'pan'"),
+        (f"{HEAD}\n1,none,2,0\n", (), 1, "no landmark"),
     ],
 )
 def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, told):
-    log = part_of_sample(tmp_path / "pan", "sonar.toml")
-    more = {"TWO": SAMPLES / "polar", "SAME": log}
-    arguments = tuple(more.get(a, a) for a in arguments)
-    truth = labelled(tmp_path / "gt.csv", text)
-    out = tmp_path / "model.toml"
+    log, truth, out = sample_log(tmp_path / "pan", 12), tmp_path / "gt.csv", tmp_path / "model.toml"
+    truth.write_text(text)
     result = sonarrec("calibrate", log, "--ground-truth", truth, "-o", out, *arguments, code=code)
     assert told in result.stderr
     assert result.stderr.count("\n") == 1
@@ -129,11 +104,11 @@ def test_what_cannot_teach_is_told_in_one_line(tmp_path, text, arguments, code, 
 
 def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    part_of_sample(Path("pan"))
+    (sample_log(Path("pan"), 12) / "sonar.toml").unlink()
     basin = (BUILT_IN / "basin.toml").read_text()
     Path("mine.toml").write_text(basin.replace("id = 1\n", "id = 11\n"))
-    head, rows = sample_rows(12)
-    Path("gt.csv").write_text("\n".join([head, *(r.replace(",1,", ",11,", 1) for r in rows), ""]))
+    rows = sample_rows(12)
+    write_rows(Path("gt.csv"), [r | {"landmark": r["landmark"].replace("1", "11")} for r in rows])
     geometry = SAMPLES / "pan" / "sonar.toml"
     sonarrec("run", "pan", "--sonar", geometry, "--landmarks", "mine.toml", "-q")
     learning = ("calibrate", "pan", "--ground-truth", "gt.csv")
@@ -148,8 +123,7 @@ def test_a_run_toml_tells_landmarks_and_geometry_as_it_does_run(tmp_path, monkey
 
 def test_rows_that_teach_nothing_are_told(tmp_path):
     """Truth denser than the frames, in places outside, for one log 8 deg wrong; and another log."""
-    with (SAMPLES / "pan.gt.csv").open(newline="") as file:
-        rows = [r for r in csv.DictReader(file) if int(r["frame"]) < 10]
+    rows = sample_rows(10)
     lines = ["log,timestamp_ns,landmark,range_m,bearing_deg", "elsewhere,0,1,2,0"]
     for number, row in enumerate(rows):
         time_ns = int(row["frame"]) * 250_000_000
@@ -157,7 +131,8 @@ def test_rows_that_teach_nothing_are_told(tmp_path):
             bearing = 100 if number % 10 == 0 else float(row["bearing_deg"]) + turn_deg
             place = f"{row['landmark']},{row['range_m']},{bearing}"
             lines += [f"{log},{time_ns + shift * 80_000_000},{place}" for shift in (-1, 0, 1)]
-    truth = labelled(tmp_path / "gt.csv", "\n".join(lines))
+    truth = tmp_path / "gt.csv"
+    truth.write_text("\n".join(lines))
     logs = [SAMPLES / log / "00000*.png" for log in ("pan", "polar")]
     told = sonarrec("calibrate", *logs, "--ground-truth", truth, "-o", tmp_path / "m.toml", code=3)
     assert "no track of polar" in told.stderr
@@ -192,15 +167,13 @@ def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
         scene = replace(scene, sonar=sonar, objects=objects, landmarks=landmarks)
         paths[name] = tmp_path / name
         write_recording(replace(scene, landmark_set=five, name=name), paths[name])
-        truth = paths[name] / "gt.csv"
-        head, *rows = truth.read_text().splitlines()
-        at = head.split(",").index("landmark")
-        cells = [row.split(",") for row in rows]
-        named = [[*c[:at], "none" if c[at] == "5" else c[at], *c[at + 1 :]] for c in cells]
-        truth.write_text("\n".join([head, *map(",".join, named), ""]))
+        rows = read_rows(paths[name] / "gt.csv")
+        for row in rows:
+            row["landmark"] = row["landmark"].replace("5", "none")
+        write_rows(paths[name] / "gt.csv", rows)
     model = tmp_path / "model.toml"
     told = sonarrec("calibrate", paths["one"], paths["two"], "-o", model).stdout
-    assert "learned from 120 frames" in told
+    assert "120 frames" in told
     line = next(line for line in told.splitlines() if line.startswith("strangers in"))
     before, after = (float(word.strip(",")) for word in line.split() if word[:2] == "0.")
     assert after < 0.7 * before
@@ -215,15 +188,10 @@ def test_truth_lies_beside_each_log_and_a_stranger_is_unlearned(tmp_path):
 @pytest.mark.slow
 def test_a_rejected_id_on_a_landmark_teaches_nothing(tmp_path):
     """As the review page saves it: a row `none` that shows nothing, where another ID lies."""
-    models = []
-    lines = (SAMPLES / "pan" / "gt.csv").read_text().splitlines()
-    head = lines[0].split(",")
-    rejected = []
-    for line in lines[1::2]:
-        cells = dict(zip(head, line.split(","), strict=True)) | {"landmark": "none", "visible": "0"}
-        rejected.append(",".join(cells.values()))
-    for name, rows in (("without", lines), ("with", [*lines, *rejected])):
-        (tmp_path / f"{name}.csv").write_text("\n".join([*rows, ""]))
+    models, given = [], read_rows(SAMPLES / "pan" / "gt.csv")
+    rejected = [row | {"landmark": "none", "visible": "0"} for row in given[::2]]
+    for name, rows in (("without", given), ("with", [*given, *rejected])):
+        write_rows(tmp_path / f"{name}.csv", rows)
         model = tmp_path / f"{name}.toml"
         given = ("--ground-truth", tmp_path / f"{name}.csv", "-o", model)
         sonarrec("calibrate", SAMPLES / "pan", *given, "-q")
@@ -232,8 +200,9 @@ def test_a_rejected_id_on_a_landmark_teaches_nothing(tmp_path):
 
 
 def test_a_model_without_use_is_refused(tmp_path):
-    model = labelled(tmp_path / "model.toml", as_toml(built_in_weights()))
-    arguments = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")
-    fault = sonarrec(*arguments, "--model", model, code=2).stderr
+    model = tmp_path / "model.toml"
+    model.write_text(as_toml(built_in_weights()))
+    paper = ("run", SAMPLES / "pan", "--out", tmp_path / "out", "--preset", "paper")
+    fault = sonarrec(*paper, "--model", model, code=2).stderr
     assert "--model" in fault
     assert fault.count("\n") == 1

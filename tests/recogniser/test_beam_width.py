@@ -15,15 +15,14 @@ from sonarrec import Recogniser, load_landmarks, open_log, preset, read_results,
 from sonarrec.config import Config
 from sonarrec.errors import SonarrecError
 from sonarrec.learning import calibrate
-from sonarrec.recogniser.restore.beam_width import usual_beam_width_deg, with_beams
+from sonarrec.recogniser.restore.beam_width import with_beams
 from sonarrec.results.run_file import LogOptions
-from sonarrec.simulation.scene import Scene, scene_fan
 from sonarrec.sonar.frame import Frame
 from tests.support import messages
 from tests.support.command import sonarrec
+from tests.support.drawn import make_fan
 from tests.support.messages import log_of, polar_frames
 
-SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "pan.mcap"
 STATED_DEG = 1.3
 
 
@@ -38,23 +37,18 @@ def wide(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("view_deg", "beams", "expected_deg"),
-    [(130.0, 512, 0.51), (130.0, 256, 1.0), (28.8, 96, 0.4), (28.8, 48, 0.4), (60.0, 512, 0.23)],
+    ("view_deg", "beams", "usual_deg", "polar_deg"),
+    [(39, 96, 0.4, 0.4), (41, 512, 0.6, 0.16), (81, 512, 1, 0.32), (130, 256, 1, 1)],
 )
-def test_many_beams_are_not_wider_than_two_of_them(
-    view_deg: float, beams: int, expected_deg: float
-) -> None:
-    scene = Scene()
-    sonar = replace(scene.sonar, field_of_view_deg=view_deg, beams=beams)
-    fan = scene_fan(replace(scene, sonar=sonar))
+def test_the_usual_width_is_by_the_view_and_at_most_two_beams(
+    view_deg, beams, usual_deg, polar_deg
+):
     polar = SimpleNamespace(beam_deg=view_deg / beams)
-    for first, width_deg in (
-        (Frame(0, 0, np.empty(0), fan), usual_beam_width_deg(fan)),
-        (Frame(0, 0, np.empty(0), fan, polar=polar), expected_deg),
-    ):
+    for shown_as, width_deg in ((None, usual_deg), (polar, polar_deg)):
+        first = Frame(0, 0, np.empty(0), make_fan(field_of_view_deg=view_deg), polar=shown_as)
         (found,), notes = with_beams([preset("default")], None, first)
         assert found.features.beam_width_deg == pytest.approx(width_deg)
-        assert len(notes) == (width_deg != usual_beam_width_deg(fan))
+        assert len(notes) == (width_deg != usual_deg)
 
 
 def width_in(folder: Path) -> float:
@@ -62,35 +56,20 @@ def width_in(folder: Path) -> float:
     return float(table["config"]["features"]["beam_width_deg"])
 
 
-def test_the_usual_width_follows_from_the_field_of_view(tmp_path: Path) -> None:
-    fan = scene_fan(Scene())
-    for view_deg, width_deg in ((28.8, 0.4), (60.0, 0.6), (130.0, 1.0)):
-        edges = {"bearing_min_deg": -view_deg / 2, "bearing_max_deg": view_deg / 2}
-        assert usual_beam_width_deg(replace(fan, **edges)) == width_deg
-    told = sonarrec("run", SAMPLE, "--frames", ":20", "-q", "-o", tmp_path).stderr
-    assert "beam" not in told
-    assert width_in(tmp_path / "pan") == 0.4
-
-
 def test_a_run_says_and_keeps_what_it_took(wide: Path, tmp_path: Path) -> None:
-    def told_by(*more: str | Path) -> str:
-        return sonarrec("run", wide, "-q", "-o", tmp_path / "out", *more).stderr
+    def told_by(name: str, *more: str | Path) -> tuple[bool, float]:
+        """Whether a run says a width, and what it took."""
+        told = sonarrec("run", wide, "-q", "-o", tmp_path / name, *more).stderr
+        return "beam width" in told, width_in(tmp_path / name / "wide")
 
-    assert f"beam width: {STATED_DEG:g} deg" in told_by()
-    assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
-    # Again from its run.toml, and with a width of one's own.
-    run_file = tmp_path / "run.toml"
-    run_file.write_bytes((tmp_path / "out" / "wide" / "run.toml").read_bytes())
-    assert "beams" not in told_by("--config", run_file, "--overwrite")
-    assert width_in(tmp_path / "out" / "wide") == pytest.approx(STATED_DEG)
+    taken = pytest.approx(STATED_DEG)
+    assert told_by("out") == (True, taken)
+    assert told_by("again", "--config", tmp_path / "out" / "wide" / "run.toml") == (False, taken)
     # A setting goes before what the messages state.
-    assert "beams" not in told_by("--set", "features.beam_width_deg=0.5")
-    assert width_in(tmp_path / "out" / "wide") == 0.5
+    assert told_by("own", "--set", "features.beam_width_deg=0.5") == (False, 0.5)
 
 
-def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(
-    wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_reads_a_log_takes_the_width_that_a_run_takes(wide, tmp_path, monkeypatch):
     default = preset("default")  # such pings show no discs: any ring will do
     rings = replace(default, candidates=replace(default.candidates, threshold=0.2))
     written = read_results(run(wide, tmp_path / "out", preset=rings).folder)

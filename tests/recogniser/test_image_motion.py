@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import tracemalloc
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,14 +22,13 @@ from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.motion import Pose, poses
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_fan
-from sonarrec.sonar.frame import Fan, Motion
+from sonarrec.sonar.frame import Motion
 from sonarrec.sonar.geometry import PoseTable
 from tests.studies.learning.random_scenes import random_scene
 from tests.support.slow import but_first
 from tests.support.vehicle import RATE_HZ, VehicleRun, vehicle_run
 
 FRAMES = 60
-STEP_NS = round(1e9 / RATE_HZ)
 
 
 def truth(poses: list[Pose]) -> FloatArray:
@@ -41,10 +41,22 @@ def truth(poses: list[Pose]) -> FloatArray:
     return np.array(found)
 
 
-def measured(images: list[ByteImage], fan: Fan, radius_m: float = 0.15) -> list[Motion | None]:
-    plane = working_plane("floor", fan, radius_m, 12.0)
-    odometry = Odometry(plane, Continuity())
-    return [odometry.step(plane.warp(image), n * STEP_NS) for n, image in enumerate(images)]
+def measured(
+    images: Sequence[ByteImage], scene: Scene, given: PoseTable | None = None
+) -> list[Motion | None]:
+    plane = working_plane("floor", scene_fan(scene), scene.landmark_set.radius_m, 12.0)
+    odometry = Odometry(plane, Continuity(), given)
+    step_ns = round(1e9 / scene.rate_hz)
+    return [odometry.step(plane.warp(image), n * step_ns) for n, image in enumerate(images)]
+
+
+def images_of(scene: Scene, *along: object) -> list[ByteImage]:
+    return [frame.image for frame in render(scene, *along)]
+
+
+def noise(image: ByteImage, rng: np.random.Generator) -> ByteImage:
+    """Levels at random where the image is of the floor."""
+    return np.where(image > 0, rng.integers(1, 255, image.shape), 0).astype(np.uint8)
 
 
 def as_rows(motions: list[Motion | None]) -> tuple[FloatArray, FloatArray]:
@@ -58,9 +70,9 @@ def as_rows(motions: list[Motion | None]) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def run_of(seed: int) -> tuple[VehicleRun, tuple[ByteImage, ...]]:
-    run = vehicle_run(seed, laps=1)
-    frames = render(run.scene, run.poses()[:FRAMES], run.ground)
-    return run, tuple(f.image for f in islice(frames, FRAMES))
+    run = vehicle_run(seed)
+    images = images_of(replace(run.scene, frames=FRAMES), run.poses()[:FRAMES], run.ground)
+    return run, tuple(images)
 
 
 @pytest.mark.slow
@@ -69,7 +81,7 @@ def test_a_vehicle_s_motion_is_measured_with_its_error(seed: int) -> None:
     """At .35 m/s and up to 20 deg/s. A pixel of the image is 1 cm, a beam .3 deg wide: a few
     thousand grains of speckle fix a step to a fraction of that."""
     run, images = run_of(seed)
-    motions = measured(list(images), scene_fan(run.scene), run.scene.landmark_set.radius_m)
+    motions = measured(images, run.scene)
     assert motions[0] is None
     known = np.array([m.known for m in motions[1:] if m is not None])
     assert np.mean(known) > 0.95
@@ -91,7 +103,7 @@ def test_evidence_of_many_frames_is_that_of_their_faded_mean() -> None:
     rng = np.random.default_rng(0)
     sigma = np.array([0.004, 0.02])
     found, mean = [], []
-    for _ in range(400):
+    for _ in range(300):
         evidence = _Evidence()
         for _ in range(40):
             motion = np.append(rng.normal(0, sigma), 0.0)
@@ -103,15 +115,10 @@ def test_evidence_of_many_frames_is_that_of_their_faded_mean() -> None:
     np.testing.assert_allclose(evidence.sigma, np.std(mean, axis=0), rtol=0.12)
 
 
-def standing(seed: int, kind: str, frames: int = 40) -> tuple[list[Motion | None], Fan]:
-    scene = replace(random_scene(seed, kind), frames=frames)
-    images = [f.image for f in render(scene)]
-    return measured(images, scene_fan(scene), scene.landmark_set.radius_m), scene_fan(scene)
-
-
 @pytest.mark.parametrize("kind", but_first(["plain", "fading", "low_contrast", "fast_pan"]))
 def test_a_tripod_is_told_to_stand(kind: str) -> None:
-    motions, _ = standing(8710, kind)
+    scene = random_scene(8710, kind, frames=40)
+    motions = measured(images_of(scene), scene)
     for motion in motions[1:]:
         assert motion is not None
         assert (motion.right_m, motion.ahead_m) == (0, 0)
@@ -122,20 +129,18 @@ def test_a_tripod_is_told_to_stand(kind: str) -> None:
 
 def test_pictures_that_come_again_to_the_bit_show_no_motion() -> None:
     """As of a recording that is looped: they leave no error, by which nothing can be divided."""
-    scene = replace(random_scene(8710, "plain"), frames=2)
-    images = [frame.image for frame in render(scene)] * 6
-    motions = measured(images, scene_fan(scene), scene.landmark_set.radius_m)
+    scene = random_scene(8710, "plain", frames=2)
+    motions = measured(images_of(scene) * 6, scene)
     assert all(m is not None and (m.right_m, m.ahead_m) == (0, 0) for m in motions[1:])
 
 
 def test_where_poses_end_the_images_go_on_from_the_last() -> None:
-    scene = replace(random_scene(8710, "plain"), frames=12)
+    scene = random_scene(8710, "plain", frames=12)
     frames = list(render(scene))
-    times = np.arange(6) * STEP_NS
+    times = np.array([frame.timestamp_ns for frame in frames[:6]])
     pose = np.array([(f.pan_deg, 0.0, 0.0) for f in frames[:6]])
-    plane = working_plane("floor", scene_fan(scene), scene.landmark_set.radius_m, 12.0)
-    odometry = Odometry(plane, Continuity(), PoseTable("poses", {}, times, pose, 1e9))
-    motions = [odometry.step(plane.warp(f.image), n * STEP_NS) for n, f in enumerate(frames)]
+    given = PoseTable("poses", {}, times, pose, 1e9)
+    motions = measured([frame.image for frame in frames], scene, given)
     found, _ = as_rows(motions)
     true = [b.pan_deg - a.pan_deg for a, b in pairwise(frames)]
     np.testing.assert_allclose(found[:, 2], true, atol=0.1)
@@ -148,20 +153,13 @@ def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: flo
     """From frame to frame each comes short by a fifth and more, for beams leak into their
     neighbours. To and fro, with a blank frame where it turns back."""
     frames, back = 33, 20
-    scene = Scene(
-        frames=frames,
-        sonar=SonarSection(range_bins=256, beams=beams, field_of_view_deg=view_deg),
-        motion=MotionSection(
-            pan_start_deg=0.0,
-            pan_min_deg=-30.0,
-            pan_max_deg=(back - 0.5) * pan_deg,
-            pan_deg_s=pan_deg * RATE_HZ,
-        ),
-    )
+    pan = MotionSection(-30.0, (back - 0.5) * pan_deg, 0.0, pan_deg * RATE_HZ)
+    sonar = SonarSection(range_bins=256, beams=beams, field_of_view_deg=view_deg)
+    scene = Scene(frames=frames, rate_hz=RATE_HZ, sonar=sonar, motion=pan)
     shown = list(render(scene))
     images = [f.image for f in shown]
     images[back] = np.zeros_like(images[back])
-    motions = measured(images, scene_fan(scene))
+    motions = measured(images, scene)
     assert [i for i, m in enumerate(motions) if m and not m.known] == [back, back + 1]
     for first, end in ((0, back - 1), (back + 1, frames - 1)):
         steps, sigmas = as_rows(motions[first + 1 : end + 1])
@@ -175,12 +173,11 @@ def test_slow_pans_do_not_add_up_short(view_deg: float, beams: int, pan_deg: flo
 @pytest.mark.slow
 def test_a_vehicle_that_sets_out_and_stops_is_noticed() -> None:
     """Twelve frames at rest, thirty on the way, thirty at rest where it came to."""
-    run, _ = run_of(8700)
+    run, _ = run_of(8702)
     pose = run.poses()[:31]
     poses = [pose[0]] * 12 + pose + [pose[30]] * 30
-    images = [f.image for f in render(replace(run.scene, frames=len(poses)), poses, run.ground)]
-    motions = measured(images, scene_fan(run.scene), run.scene.landmark_set.radius_m)
-    found, _ = as_rows(motions)
+    images = images_of(replace(run.scene, frames=len(poses)), poses, run.ground)
+    found, _ = as_rows(measured(images, run.scene))
     assert (found[:11, :2] == 0).all()
     way = found[12:41]
     np.testing.assert_allclose(way[:, 1], truth(poses)[12:41, 1], atol=0.02)
@@ -199,13 +196,8 @@ def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
     scene = replace(drawn, motion=ahead, rate_hz=rate_hz, frames=frames)
     path = poses(scene)
     path += [path[-1]] * rest
-    images = [f.image for f in render(replace(scene, frames=len(path)), path)]
-    plane = working_plane("floor", scene_fan(scene), scene.landmark_set.radius_m, 12.0)
-    odometry = Odometry(plane, Continuity())
-    motions = [
-        odometry.step(plane.warp(image), round(n * 1e9 / rate_hz)) for n, image in enumerate(images)
-    ]
-    found, sigma = as_rows(motions)
+    images = images_of(replace(scene, frames=len(path)), path)
+    found, sigma = as_rows(measured(images, scene))
     true = truth(path)
     off = (found - true)[: frames - 1].sum(axis=0)
     stated = np.hypot.reduce(sigma[: frames - 1])
@@ -218,17 +210,11 @@ def test_small_steps_add_up(speed_m_s: float, rate_hz: float) -> None:
 
 @pytest.mark.slow
 def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
-    """Frames a lap apart, and noise: any motion that a slow vehicle can make lies within sigma."""
+    """Noise, and black frames: any motion that a slow vehicle can make lies within sigma."""
     run, images = run_of(8700)
-    fan = scene_fan(run.scene)
     rng = np.random.default_rng(1)
-    noise = [
-        np.where(images[0] > 0, rng.integers(1, 255, images[0].shape), 0).astype(np.uint8)
-        for _ in range(12)
-    ]
-    black = [np.zeros_like(images[0])] * 4
-    for frames in (noise, black):
-        for motion in measured(frames, fan)[1:]:
+    for frames in ([noise(images[0], rng) for _ in range(12)], [np.zeros_like(images[0])] * 4):
+        for motion in measured(frames, run.scene)[1:]:
             assert motion is not None
             assert not motion.known
             assert motion.right_sigma_m >= 0.1
@@ -239,13 +225,10 @@ def test_where_the_floor_shows_nothing_in_common_it_says_so() -> None:
 @pytest.mark.slow
 def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() -> None:
     run, images = run_of(8702)
-    fan, rng = scene_fan(run.scene), np.random.default_rng(2)
-    frames = list(images[:40])
+    rng, frames = np.random.default_rng(2), list(images[:40])
     for n in (20, 21, 22):
-        frames[n] = np.where(frames[n] > 0, rng.integers(1, 255, frames[n].shape), 0).astype(
-            np.uint8
-        )
-    motions = measured(frames, fan, run.scene.landmark_set.radius_m)
+        frames[n] = noise(frames[n], rng)
+    motions = measured(frames, run.scene)
     true = truth(run.poses()[:40])
     found, sigma = as_rows(motions)
     lost = [n for n, m in enumerate(motions) if m is not None and m.ahead_sigma_m > 0.03 and n > 2]
@@ -261,10 +244,8 @@ def test_a_vehicle_that_loses_the_floor_goes_on_as_it_went_and_finds_it_again() 
 def test_a_motion_that_was_not_found_at_first_is_searched_for_again() -> None:
     """The first frame is noise: how little it is like the second says nothing of the third."""
     run, images = run_of(8702)
-    fan, rng = scene_fan(run.scene), np.random.default_rng(4)
-    noise = np.where(images[0] > 0, rng.integers(1, 255, images[0].shape), 0).astype(np.uint8)
-    motions = measured([noise, *images[12:20]], fan, run.scene.landmark_set.radius_m)
-    found, _ = as_rows(motions)
+    frames = [noise(images[0], np.random.default_rng(4)), *images[12:20]]
+    found, _ = as_rows(measured(frames, run.scene))
     true = truth(run.poses()[12:20])
     np.testing.assert_allclose(found[4:, 1], true[3:, 1], atol=0.02)
 

@@ -9,26 +9,29 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from sonarrec.recogniser.plane import FanPlane, FloorPlane, working_plane
+from sonarrec.simulation.scene import Scene, SonarSection, scene_sonar
 from sonarrec.sonar.frame import Motion
 from sonarrec.sonar.geometry import PolarToFan, beam_bearings, bin_ranges, floor_depth
 from sonarrec.sonar.stated import Sonar
 from tests.support.drawn import draw_on_floor, make_fan
 
-WINDOWS = [  # range_min_m, range_max_m, height_m
-    (1.25, 3.75, 0.68),
-    (1.40, 2.65, 0.55),
-    (0.80, 5.80, 0.60),
-    (2.00, 12.0, 1.60),
-]
+# range_min_m, range_max_m, height_m
+WINDOWS = [(1.25, 3.75, 0.68), (1.40, 2.65, 0.55), (0.80, 5.80, 0.60), (2.00, 12.0, 1.60)]
 
 
 def still_circle(range_m, bearing_deg, height_m, radius_m=0.15):
     """Slant ranges and bearings of a circle on the floor, counter-clockwise from the right."""
-    ground = math.sqrt(range_m**2 - height_m**2)
+    ground, bearing = math.sqrt(range_m**2 - height_m**2), math.radians(bearing_deg)
     angle = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    x = ground * math.sin(math.radians(bearing_deg)) + radius_m * np.cos(angle)
-    y = ground * math.cos(math.radians(bearing_deg)) + radius_m * np.sin(angle)
+    x = ground * math.sin(bearing) + radius_m * np.cos(angle)
+    y = ground * math.cos(bearing) + radius_m * np.sin(angle)
     return np.sqrt(x**2 + y**2 + height_m**2), np.degrees(np.arctan2(x, y)), angle
+
+
+def seen_at(plane):
+    """Slant range and bearing of every pixel."""
+    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
+    return plane.to_polar(column, row)
 
 
 @settings(max_examples=30)
@@ -58,8 +61,7 @@ def test_round_trips(kind, window, height_known, share, bearing_deg):
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-@pytest.mark.parametrize("bearing_deg", [-12.0, 0.0, 7.5])
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+@pytest.mark.parametrize(("bearing_deg", "share"), [(-12.0, 0.3), (0.0, 0.6), (7.5, 0.95)])
 @pytest.mark.parametrize("disc_radius_px", [6.0, 15.0])
 def test_a_floor_circle_is_a_circle_of_one_size(window, bearing_deg, share, disc_radius_px):
     near, far, height = window
@@ -124,7 +126,7 @@ def test_inside_is_where_the_sonar_looks(kind):
     fan = make_fan(200)
     plane = working_plane(kind, fan, 0.15, 15.0)
     row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
-    range_m, bearing_deg = plane.to_polar(column, row)
+    range_m, bearing_deg = seen_at(plane)
     assert set(np.unique(plane.inside)) == {0, 1}
     inside = plane.inside == 1
     assert range_m[inside].min() >= fan.range_min_m
@@ -140,14 +142,7 @@ def test_inside_is_where_the_sonar_looks(kind):
     assert plane.warp(np.full((fan.rows, fan.columns), 255, np.uint8))[inside].min() == 255
 
 
-POLAR = Sonar(
-    layout="polar",
-    range_min_m=1.25,
-    range_max_m=3.75,
-    field_of_view_deg=28.8,
-    tilt_deg=20.0,
-    height_m=0.68,
-)
+POLAR = scene_sonar(Scene(sonar=SonarSection(layout="polar")))
 
 
 @pytest.mark.parametrize("flip", [False, True])
@@ -170,10 +165,10 @@ def test_polar_images_go_straight_to_the_floor(bins, shrink, flip):
     blurred = (1 - 2 * share) * image + share * (beside[:, :-2] + beside[:, 2:])
     whole = np.pad(blurred, [(0, -bins % shrink), (0, 0)], mode="edge")
     small = whole.reshape(-1, shrink, beams).mean(axis=1)
-    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
-    range_m, bearing_deg = plane.to_polar(column, row)
-    bearing_deg = -bearing_deg if flip else bearing_deg
-    beam = np.interp(bearing_deg, beam_bearings(sonar, beams), np.arange(beams))
+    range_m, bearing_deg = seen_at(plane)
+    beam = np.interp(
+        -bearing_deg if flip else bearing_deg, beam_bearings(sonar, beams), np.arange(beams)
+    )
     range_bin = np.interp(range_m, bin_ranges(sonar, bins), np.arange(bins))
     at = [(range_bin + 0.5) / shrink - 0.5, beam]
     expected = map_coordinates(small, at, order=1, mode="nearest")
@@ -188,12 +183,10 @@ def test_a_ping_of_another_window_lies_where_the_fan_of_the_log_has_it():
     near = POLAR.updated(Sonar(range_max_m=2.75)).complete("test")
     polar = PolarToFan(near, 300, 48, fan)
     plane = FloorPlane(fan, 0.15, 12.0)
-    whole = plane.warp(
-        np.full((400, 48), 200, np.uint8), PolarToFan(POLAR.complete("test"), 400, 48)
-    )
+    of_log = PolarToFan(POLAR.complete("test"), 400, 48)
+    whole = plane.warp(np.full((400, 48), 200, np.uint8), of_log)
     found = plane.warp(np.full((300, 48), 200, np.uint8), polar)
-    row, column = np.mgrid[0 : plane.shape[0], 0 : plane.shape[1]]
-    range_m, _ = plane.to_polar(column, row)
+    range_m, _ = seen_at(plane)
     inside = plane.inside == 1
     assert (whole[inside] == 200).all()
     # Along the end of its window a ping is mixed with the black beyond.

@@ -1,13 +1,11 @@
-"""The three stages together, on drawn logs and on frames of a recording."""
+"""The three stages together, on drawn logs."""
 
 import dataclasses
 import math
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,37 +17,16 @@ from sonarrec.recogniser.restore.static_pixels import AHEAD
 from sonarrec.recogniser.three_stages import FRAMEWORK, SMI, DiscStages
 from sonarrec.simulation.motion import Pose
 from sonarrec.simulation.render import render
-from sonarrec.sonar.frame import Frame, FrameResult
+from sonarrec.sonar.frame import Estimate, Frame, FrameResult
 from sonarrec.sonar.geometry import fan_for_image
-from sonarrec.sonar.stated import Sonar, load_sonar
+from sonarrec.sonar.stated import Sonar
 from tests.studies.learning.random_scenes import random_scene
+from tests.support.bare import changed
 from tests.support.drawn import SECTORS, disc_pattern, make_fan, speckled_disc
-from tests.support.rows import read_rows
 from tests.support.slow import but_first
 
 BASIN = load_landmarks("basin")
-BASIN_A = Path(__file__).parents[3] / "shared" / "data" / "basin_a"
-needs_recording = pytest.mark.skipif(not BASIN_A.is_dir(), reason=f"no recording in {BASIN_A}")
-PRESETS = list(config.PRESETS)
-
-
-def recording(frames: range) -> list[Frame]:
-    sonar = load_sonar(BASIN_A / "sonar.toml")
-    log = []
-    for i in frames:
-        image = cv2.imread(str(BASIN_A / f"{i:06}.png"), cv2.IMREAD_GRAYSCALE)
-        log.append(
-            Frame(i, i * 250_000_000, image, fan_for_image(sonar.complete("test"), *image.shape))
-        )
-    return log
-
-
-def truth(frame: int, least_visible: float = 0.9) -> dict[int, tuple[float, float]]:
-    return {
-        int(row["landmark"]): (float(row["x_px"]), float(row["y_px"]))
-        for row in read_rows(BASIN_A / "gt.csv")
-        if int(row["frame"]) == frame and float(row["visible"]) >= least_visible
-    }
+PRESETS = ["default", "paper"]  # offline is default's three stages, and hindsight
 
 
 def run(log: Sequence[Frame], settings: config.Config, landmarks=BASIN) -> list[FrameResult]:
@@ -73,60 +50,17 @@ def check(result: FrameResult, landmarks=BASIN) -> None:
         assert np.isfinite([e.x_px, e.y_px, e.range_m, e.bearing_deg]).all()
 
 
-@needs_recording
-@pytest.mark.parametrize("name", but_first(PRESETS))
-def test_the_seed_is_all_that_is_random(name):
-    log = recording(range(20, 28))
-    runs = [run(log, dataclasses.replace(config.preset(name), seed=seed)) for seed in (0, 0, 1)]
-    estimates = [[rows(result, FRAMEWORK) for result in one] for one in runs]
-    assert estimates[0] == estimates[1] != estimates[2]
-
-
-@needs_recording
-def test_landmarks_of_a_recording_are_declared_where_they_are():
-    frames = range(15, 60)
-    positives = found = 0
-    for result in run(recording(frames), config.preset("default"))[12:]:
-        claims = {e.landmark: e for e in result.estimates if e.method == FRAMEWORK and e.declared}
-        for landmark, place in truth(result.index).items():
-            positives += 1
-            claim = claims.get(landmark)
-            if claim is not None:
-                found += np.hypot(claim.x_px - place[0], claim.y_px - place[1]) < 10
-    assert positives > 20
-    assert found > 0.8 * positives
-
-
-@needs_recording
-@pytest.mark.parametrize("name", PRESETS)
-def test_odd_frames_in_the_middle_of_a_log_are_no_trouble(name):
-    log = recording(range(20, 38))
-    rng = np.random.default_rng(0)
-    odd = [
-        lambda image: np.zeros_like(image),
-        lambda image: np.full_like(image, 255),
-        lambda image: rng.integers(0, 256, image.shape, np.uint8),
-        lambda image: (
-            np.where(np.arange(image.shape[1]) % 2, 255, 0).astype(np.uint8) + np.zeros_like(image)
-        ),
-        lambda image: np.flip(image).copy(),
-        lambda image: np.asfortranarray(image),
-    ]
-    for i, change in enumerate(odd):
-        place = 3 + 2 * i
-        log[place] = dataclasses.replace(log[place], pixels=change(log[place].image))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for result in run(log, config.preset(name)):
-            check(result)
+def declared(result: FrameResult) -> dict[int, Estimate]:
+    """What the framework declares, by its ID; each is declared once at most."""
+    claims = [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
+    assert len({e.landmark for e in claims}) == len(claims)
+    return {e.landmark: e for e in claims}
 
 
 @cache
-def drawn_log(
-    landmark_sectors, frames: int = 24, radius_m: float = 0.15, rows: int = 400
-) -> tuple[Frame, ...]:
+def drawn_log(landmark_sectors, frames: int = 20, radius_m: float = 0.15) -> tuple[Frame, ...]:
     """One disc at 2.2 m while the sonar turns to the right; new speckle in every frame."""
-    fan = make_fan(rows)
+    fan = make_fan(400)
     rng = np.random.default_rng(7)
     log = []
     for i in range(frames):
@@ -137,19 +71,40 @@ def drawn_log(
     return tuple(log)
 
 
+@pytest.mark.parametrize("name", but_first(PRESETS))
+def test_the_seed_is_all_that_is_random(name):
+    log = drawn_log(SECTORS[1])[:8]
+    runs = [run(log, dataclasses.replace(config.preset(name), seed=seed)) for seed in (0, 0, 1)]
+    estimates = [[rows(result, FRAMEWORK) for result in one] for one in runs]
+    assert estimates[0] == estimates[1] != estimates[2]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_odd_frames_in_the_middle_of_a_log_are_no_trouble(name):
+    log = list(drawn_log(SECTORS[1])[:18])
+    image = log[0].image
+    noise = np.random.default_rng(0).integers(0, 256, image.shape, np.uint8)
+    stripes = np.broadcast_to(np.uint8(255) * (np.arange(image.shape[1]) % 2 > 0), image.shape)
+    odd = [0 * image, 0 * image + 255, noise, stripes, np.flip(image), np.asfortranarray(image)]
+    for place, pixels in enumerate(odd):
+        log[3 + 2 * place] = dataclasses.replace(log[3 + 2 * place], pixels=pixels)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for result in run(log, config.preset(name)):
+            check(result)
+
+
 @pytest.mark.parametrize("landmark", but_first(sorted(SECTORS)))
 def test_a_drawn_landmark_is_declared_and_followed_as_one_object(landmark):
     log = drawn_log(SECTORS[landmark])
     results = run(log, config.preset("default"))
-    tracks = set()
     for result in results[12:]:
         check(result)
-        claims = [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
-        assert [e.landmark for e in claims] == [landmark]
-        tracks.add(claims[0].object)
-        assert claims[0].range_m == pytest.approx(2.2, abs=0.03)
-        assert claims[0].bearing_deg == pytest.approx(5.0 - 0.5 * result.index, abs=0.7)
-    assert len(tracks) == 1
+        claims = declared(result)
+        assert {*claims} == {landmark}
+        assert claims[landmark].object == declared(results[-1])[landmark].object
+        assert claims[landmark].range_m == pytest.approx(2.2, abs=0.03)
+        assert claims[landmark].bearing_deg == pytest.approx(5.0 - 0.5 * result.index, abs=0.7)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -160,9 +115,8 @@ def test_a_set_of_other_landmarks_is_data_only(name, landmark):
     results = run(drawn_log(sectors[landmark], 16, radius_m=0.2), config.preset(name), other)
     for result in results:
         check(result, other)
-    claims = {e.landmark for e in results[-1].estimates if e.method == FRAMEWORK and e.declared}
     if name == "default":
-        assert claims == {other.ids[landmark]}
+        assert {*declared(results[-1])} == {other.ids[landmark]}
 
 
 def tiny_sonar(**changed) -> Sonar:
@@ -201,7 +155,7 @@ def test_odd_geometry_is_told_in_one_line_or_recognises_nothing(name, sonar, sha
             return
     for result in results:
         check(result)
-        assert not any(e.declared for e in result.estimates if e.method == FRAMEWORK)
+        assert not declared(result)
 
 
 # --- Side by side, and in hindsight ---------------------------------------------------------------
@@ -229,38 +183,24 @@ def test_the_only_frame_of_a_log_is_judged_by_a_threshold_of_its_own() -> None:
     """With a second frame the first is judged as ever: nothing is declared in it."""
     log = still_log(1, 2)
 
-    def declared(frames: int, **features: float) -> list[list[int]]:
-        default = config.preset("default")
-        changed = dataclasses.replace(default.features, **features)
-        settings = dataclasses.replace(default, features=changed)
-        found = SideBySide([settings], log[0].fan, BASIN).recognise(log[:frames])
-        return [[e.landmark for e in one.estimates if e.declared and e.method == FRAMEWORK]
-                for one in found]  # fmt: skip
+    def named(frames: int, *settings: str) -> list[set[int]]:
+        changed = config.with_assignments(config.preset("default"), settings)
+        found = SideBySide([changed], log[0].fan, BASIN).recognise(log[:frames])
+        return [set(declared(result)) for result in found]
 
-    assert declared(1) == [[1]]
-    assert declared(1, declare_alone=1.0) == [[]]
-    assert declared(2)[0] == []
-    assert declared(2, declare_alone=0.0) == declared(2)
-
-
-def noted(log: Sequence[Frame], drawn: list[Frame]) -> Iterator[Frame]:
-    """The frames, each put down in `drawn` as it is asked for."""
-    for frame in log:
-        drawn.append(frame)
-        yield frame
+    assert named(1) == [{1}]
+    assert named(1, "features.declare_alone=1.0") == [set()]
+    assert named(2)[0] == set()
+    assert named(2, "features.declare_alone=0.0") == named(2)
 
 
 def test_smi_is_shared_by_presets_of_the_same_candidates_alone() -> None:
     """On rings these depend on the width of the beams too: it says what the gap is worth."""
     default, offline = (config.preset(name) for name in ("default", "offline"))
-
-    def methods(width_deg: float) -> list[str]:
-        features = dataclasses.replace(offline.features, beam_width_deg=width_deg)
-        other = dataclasses.replace(offline, features=features)
-        return SideBySide([default, other], make_fan(), BASIN).methods
-
-    assert methods(default.features.beam_width_deg).count("smi:offline") == 0
-    assert methods(2.0).count("smi:offline") == 1
+    wide = config.with_assignments(offline, ["features.beam_width_deg=2.0"])
+    for other, has_its_own in ((offline, False), (wide, True)):
+        methods = SideBySide([default, other], make_fan(), BASIN).methods
+        assert ("smi:offline" in methods) == has_its_own
 
 
 # Also while all of them still wait to be looked at for static pixels, and past that.
@@ -272,15 +212,11 @@ def test_what_breaks_the_frames_off_is_raised_when_those_before_it_are_out(fault
         yield from log
         raise fault("power cut")
 
-    results = []
-
-    def take() -> None:
-        recognise_together = SideBySide([config.preset("default")], log[0].fan, BASIN)
-        results.extend(result.index for result in recognise_together.recognise(breaking()))
-
+    results = SideBySide([config.preset("default")], log[0].fan, BASIN).recognise(breaking())
+    for frame in log:
+        assert next(results).index == frame.index
     with pytest.raises(fault, match="power cut"):
-        take()
-    assert results == [frame.index for frame in log]
+        next(results)
 
 
 def rows(result: FrameResult, method: str, renamed: str = "") -> list[tuple]:
@@ -308,13 +244,13 @@ def test_each_preset_gives_side_by_side_what_it_gives_alone():
 def test_presets_that_differ_in_hindsight_alone_share_the_stages(monkeypatch):
     seen: list[int] = []
     stage2 = DiscStages.stage2
-    monkeypatch.setattr(
-        DiscStages,
-        "stage2",
-        lambda self, frame, *of: seen.append(frame.index) or stage2(self, frame, *of),
-    )
-    log = still_log(3, 3)
-    side_by_side(log, "default", "paper", "offline")
+
+    def counted(self, frame, *rest):
+        seen.append(frame.index)
+        return stage2(self, frame, *rest)
+
+    monkeypatch.setattr(DiscStages, "stage2", counted)
+    side_by_side(still_log(3, 3), "default", "paper", "offline")
     assert seen == [0, 0, 1, 1, 2, 2]  # paper once, default and offline together once
 
 
@@ -344,15 +280,10 @@ def test_a_single_preset_is_the_recogniser_itself(name):
 )
 def test_hindsight_tells_from_the_start_what_the_log_shows_later(landmark, frames, named_from):
     log = still_log(landmark, frames, hidden=range(8))
-    at_once = side_by_side(log, "default")
-    later = side_by_side(log, "offline")
-
-    def named(result: FrameResult) -> set[int]:
-        return {e.landmark for e in result.estimates if e.method == FRAMEWORK and e.declared}
-
-    assert not any(named(result) for result in at_once[:8])  # a blank disc so far
-    assert all(named(result) == {landmark} for result in at_once[named_from:])
-    assert all(named(result) == {landmark} for result in later[1:])
+    at_once, later = (side_by_side(log, name) for name in ("default", "offline"))
+    assert not any(declared(result) for result in at_once[:8])  # a blank disc so far
+    assert all({*declared(result)} == {landmark} for result in at_once[named_from:])
+    assert all({*declared(result)} == {landmark} for result in later[1:])
     for one, other in zip(at_once, later, strict=True):
         assert (one.index, one.timestamp_ns) == (other.index, other.timestamp_ns)
         check(other)
@@ -364,7 +295,8 @@ def test_a_lag_shorter_than_the_log_uses_so_many_frames_and_no_more():
     settings = config.with_assignments(config.preset("offline"), ["features.lag_frames=4"])
     drawn: list[Frame] = []
     results = []
-    for result in SideBySide([settings], log[0].fan, BASIN).recognise(noted(log, drawn)):
+    asked_for = (drawn.append(frame) or frame for frame in log)
+    for result in SideBySide([settings], log[0].fan, BASIN).recognise(asked_for):
         # Frames wait for four more, and are judged so many at once.
         needed = min(result.index + 1 + 4, 24)
         assert len(drawn) == min(math.ceil(needed / FRAMES_AT_ONCE) * FRAMES_AT_ONCE, 24)
@@ -379,16 +311,13 @@ def test_numbers_that_jump_change_nothing_in_hindsight():
     """As those of a log do of which many frames in a row cannot be used."""
     log = still_log(1, 30, hidden=range(8))[:24]
     jumping = [dataclasses.replace(f, index=f.index + 600 * (f.index > 11)) for f in log]
-    for one, other in zip(
-        side_by_side(log, "offline"), side_by_side(jumping, "offline"), strict=True
-    ):
+    both = (side_by_side(frames, "offline") for frames in (log, jumping))
+    for one, other in zip(*both, strict=True):
         assert rows(one, FRAMEWORK) == rows(other, FRAMEWORK)
 
 
 def test_orientation_and_place_are_known_as_well_as_they_say():
-    result = side_by_side(still_log(3, 12), "default")[-1]
-    (found,) = [e for e in result.estimates if e.method == FRAMEWORK and e.declared]
-    assert found.landmark == 3
+    found = declared(side_by_side(still_log(3, 12), "default")[-1])[3]
     off = (found.orientation_deg + 180) % 360 - 180  # drawn at 0
     assert abs(off) < 4 * found.orientation_sigma_deg
     assert abs(off) < 6
@@ -406,19 +335,14 @@ def test_orientation_holds_past_what_the_sonar_is_carried_by():
     scene = random_scene(8721, "plain", frames=frames)
     step_m = 0.35 / scene.rate_hz
     path = [Pose(0.0, scene.sonar.height_m, (i - frames / 2) * step_m, 0.0) for i in range(frames)]
-    near, far = 0.7, scene.sonar.range_max_m + 1.0
-    ground = dataclasses.replace(
-        scene,
-        motion=dataclasses.replace(scene.motion, pan_min_deg=-70, pan_max_deg=70),
-        sonar=dataclasses.replace(scene.sonar, range_min_m=near, range_max_m=far),
-    )
+    wider = {"range_min_m": 0.7, "range_max_m": scene.sonar.range_max_m + 1.0}
+    ground = changed(scene, motion={"pan_min_deg": -70, "pan_max_deg": 70}, sonar=wider)
     seen = list(render(scene, path, ground))
     log = [Frame(f.index, f.timestamp_ns, f.image, f.fan) for f in seen]
     off: dict[str, list[float]] = {"default": [], "offline": []}
     settings = [config.preset(name) for name in off]
-    for frame, result in zip(
-        seen, SideBySide(settings, log[0].fan, scene.landmark_set).recognise(log), strict=True
-    ):
+    results = SideBySide(settings, log[0].fan, scene.landmark_set).recognise(log)
+    for frame, result in zip(seen, results, strict=True):
         true = {t.landmark: t.orientation_deg for t in frame.truth if t.visible > 0.99}
         for e in result.estimates:
             name = e.method.partition(":")[2]

@@ -16,6 +16,7 @@ FAN = make_fan(rows=256)
 ROWS, COLUMNS = 128, 192
 RANGE_M = np.linspace(FAN.range_min_m, FAN.range_max_m, ROWS)
 BEARING_DEG = np.linspace(-14.3, 14.3, COLUMNS)
+REGISTRATION = FloorRegistration(FAN, RANGE_M, BEARING_DEG, np.ones((ROWS, COLUMNS), np.float32))
 CELL_M = 0.004
 """Of the floor, in which a grain of speckle is some cells wide."""
 
@@ -45,15 +46,12 @@ def test_a_motion_is_found_from_a_cell_away(right: float, ahead: float, turn_deg
     rng = np.random.default_rng(11)
     levels = floor(rng)
     true = np.array([right, ahead, math.radians(turn_deg)])
-    registration = FloorRegistration(
-        FAN, RANGE_M, BEARING_DEG, np.ones((ROWS, COLUMNS), np.float32)
-    )
     pictures = []
     for motion in (np.zeros(3), true):
         one, own = seen_from(levels, *motion), seen_from(floor(rng), 0, 0, 0)
-        pictures.append(registration.picture(one + own))
+        pictures.append(REGISTRATION.picture(one + own))
     off = np.array([0.012, -0.02, math.radians(0.15)])  # a cell is 2 cm, .15 deg
-    found = registration.refined(*pictures, true + off)
+    found = REGISTRATION.refined(*pictures, true + off)
     assert found is not None
     assert found.match == pytest.approx(0.5, abs=0.1)
     assert (np.abs(found.motion - true) < (0.008, 0.006, math.radians(0.2))).all()
@@ -63,9 +61,6 @@ def test_a_motion_is_found_from_a_cell_away(right: float, ahead: float, turn_deg
 
 def test_other_floors_have_no_motion_in_common() -> None:
     rng = np.random.default_rng(12)
-    registration = FloorRegistration(
-        FAN, RANGE_M, BEARING_DEG, np.ones((ROWS, COLUMNS), np.float32)
-    )
-    pictures = [registration.picture(seen_from(floor(rng), 0, 0, 0)) for _ in range(2)]
-    found = registration.refined(*pictures, np.zeros(3))
+    pictures = [REGISTRATION.picture(seen_from(floor(rng), 0, 0, 0)) for _ in range(2)]
+    found = REGISTRATION.refined(*pictures, np.zeros(3))
     assert found is None or found.loose or found.match < 0.1

@@ -24,6 +24,7 @@ BASIN = load_landmarks("basin")
 ROTATED = rotated_codes(BASIN)
 CENTRE = (101.3, 98.6)
 RADIUS = 80.0
+SAMPLER = ShapeSampler(BASIN, (RADIUS, RADIUS))
 
 
 def agreement(landmark: int) -> list[float]:
@@ -32,19 +33,20 @@ def agreement(landmark: int) -> list[float]:
     return [sum(a == b for a, b in zip(truth, SECTORS[k], strict=True)) / 4 for k in SECTORS]
 
 
-def picture(pattern, axes=(RADIUS, RADIUS), centre=CENTRE) -> np.ndarray:
-    return (40 + 180 * draw_ellipse_disc((200, 204), centre, axes, pattern)).astype(np.uint8)
+def picture(pattern) -> np.ndarray:
+    disc = draw_ellipse_disc((200, 204), CENTRE, (RADIUS, RADIUS), pattern)
+    return (40 + 180 * disc).astype(np.uint8)
 
 
-def identified(
-    image, axes=(RADIUS, RADIUS), inside=None, start_rad=0.0, centre=CENTRE
-) -> Identification:
-    sampler = ShapeSampler(BASIN, axes)
+def sampled(image, inside=None, start_rad=0.0, centres=(CENTRE,)):
+    """Brightness of the cells, and whether they are seen."""
     inside = np.ones_like(image) if inside is None else inside
-    grey, seen = sampler(
-        image, inside, np.array([centre]), np.array([start_rad]), *surroundings(image)
-    )
-    return identify(grey, seen, sampler.bands, ROTATED)
+    places, start = np.array(centres).reshape(-1, 2), np.full(len(centres), start_rad)
+    return SAMPLER(image, inside, places, start, *surroundings(image))
+
+
+def identified(image, start_rad=0.0) -> Identification:
+    return identify(*sampled(image, start_rad=start_rad), SAMPLER.bands, ROTATED)
 
 
 @pytest.mark.parametrize("landmark", sorted(SECTORS))
@@ -83,17 +85,16 @@ def test_without_a_circle_the_symbol_tells_nothing(share):
     np.testing.assert_array_equal(found.measurement(share + 0.05)[0], 0.25)
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)
 @given(column=st.integers(40, 140))
 def test_cells_outside_the_fan_are_not_seen(column):
     image = picture(disc_pattern(SECTORS[1]))
     inside = np.ones_like(image)
     inside[:, :column] = 0
-    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
-    _, seen = sampler(image, inside, np.array([CENTRE]), np.zeros(1), *surroundings(image))
-    x = CENTRE[0] + RADIUS * sampler.radii[:, None] * np.cos((np.arange(ANGLES) + 0.5) * STEP)
+    _, seen = sampled(image, inside)
+    x = CENTRE[0] + RADIUS * SAMPLER.radii[:, None] * np.cos((np.arange(ANGLES) + 0.5) * STEP)
     sure = np.abs(x - column + 0.5) > 0.1  # a cell belongs to the pixel nearest to it
-    sure[sampler.bands.outer] = False  # which partly lie beyond the image
+    sure[SAMPLER.bands.outer] = False  # which partly lie beyond the image
     np.testing.assert_array_equal(seen[0][sure], (x > column - 0.5)[sure])
 
 
@@ -109,7 +110,7 @@ def best_split(values):
     return best
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_identify_is_the_counting_of_cells_written_out(seed):
     rng = np.random.default_rng(seed)
@@ -155,22 +156,17 @@ def test_otsu_parts_8_bit_values_as_opencv_does(data):
 
 def test_brightness_is_free_of_gain_and_offset():
     image = picture(disc_pattern(SECTORS[1]))
-    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
-    inside, centre, start = np.ones_like(image), np.array([CENTRE]), np.zeros(1)
-    grey, seen = sampler(image, inside, centre, start, *surroundings(image))
-    halved = (image // 2 + 30).astype(np.uint8)
-    dim, _ = sampler(halved, inside, centre, start, *surroundings(halved))
+    grey, seen = sampled(image)
+    dim, _ = sampled((image // 2 + 30).astype(np.uint8))
     np.testing.assert_allclose(dim[seen], grey[seen], atol=0.03)
     assert grey.max() == pytest.approx((image.max() - image.mean()) / image.std(), abs=0.01)
 
 
 def test_no_objects_and_objects_outside_the_image_are_no_trouble():
     image = picture(disc_pattern(SECTORS[1]))
-    sampler = ShapeSampler(BASIN, (RADIUS, RADIUS))
-    for centres in (np.empty((0, 2)), np.array([[-500.0, 900.0]])):
-        start = np.zeros(len(centres))
-        grey, seen = sampler(image, np.ones_like(image), centres, start, *surroundings(image))
-        found = identify(grey, seen, sampler.bands, ROTATED)
+    for centres in ((), ((-500.0, 900.0),)):
+        grey, seen = sampled(image, centres=centres)
+        found = identify(grey, seen, SAMPLER.bands, ROTATED)
         assert not seen.any()
         assert found.measurement().shape == (len(centres), 4)
         np.testing.assert_allclose(found.measurement().sum(axis=1), 1)

@@ -44,15 +44,12 @@ SELECTORS = {kind: selector(kind) for kind in DETECTORS}
 
 def picture(rng, places, sectors=SECTORS[1], fan=FAN) -> np.ndarray:
     """Speckled fan image of discs at (range_m, bearing_deg) with a dark plate under each."""
-    bright, dark = np.zeros((fan.rows, fan.columns)), np.zeros((fan.rows, fan.columns))
-    seen = np.ones(bright.shape, bool)
+    bright, dark = np.zeros((2, fan.rows, fan.columns))
     for range_m, bearing_deg in places:
         pattern = disc_pattern(sectors, rng.uniform(0, 2 * np.pi))
         disc, seen = draw_on_floor(fan, range_m, bearing_deg, BASIN.radius_m, pattern)
         plate, _ = draw_on_floor(fan, range_m, bearing_deg, BASIN.radius_m, whole_disc)
         bright, dark = bright + disc, dark + plate
-    if not places:
-        seen = draw_on_floor(fan, 2.0, 0.0, 0.01, np.multiply)[1]
     return speckled(bright, seen, rng, dark=dark)
 
 
@@ -80,7 +77,7 @@ def test_the_outline_finds_centres_to_within_its_tolerance():
     plane, select = SELECTORS["edge"]
     rng = np.random.default_rng(0)
     misses = []
-    for _ in range(12):
+    for _ in range(8):
         place = (rng.uniform(1.7, 3.2), rng.uniform(-9, 9))
         misses.append(miss(plane, select(picture(rng, [place])), *place))
     assert np.median(misses) < 1
@@ -109,17 +106,15 @@ def test_kept_peaks_are_those_of_a_comparison_of_all(seed, count, most):
     positions = np.random.default_rng(seed).uniform(-side, 6 * side, (count, 2))
     kept: list[int] = []
     for i, (x, y) in enumerate(positions):
-        offsets = [
-            math.hypot((x - u) / across, (y - v) / along) for u, v in positions[kept].tolist()
-        ]
-        if len(kept) < most and min(offsets, default=math.inf) >= select._config.separation:
+        offsets = np.hypot(*((positions[kept] - (x, y)) / (across, along)).T)
+        if len(kept) < most and offsets.min(initial=math.inf) >= select._config.separation:
             kept.append(i)
     assert select._suppress_neighbours(positions, most) == kept
 
 
 def test_peaks_at_the_edge_of_an_image_that_is_not_whole_blocks_are_scored():
     """As in a part of a mean: whatever is in the last rows and columns lies in the image."""
-    plane, _ = selector("ring", make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5))
+    plane, _ = selector("ring", WIDE)
     plane.inside, plane.shape = np.ones((321, 323), np.uint8), (321, 323)
     select = CandidateSelector(dataclasses.replace(RING, threshold=0.1), plane, BASIN, BEAM_DEG)
     found = select(np.random.default_rng(7).integers(1, 255, plane.shape).astype(np.uint8))
@@ -127,13 +122,15 @@ def test_peaks_at_the_edge_of_an_image_that_is_not_whole_blocks_are_scored():
     assert found.positions.max() > 300
 
 
+WIDE = make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5)
+
+
 @pytest.mark.slow
 def test_of_many_discs_on_a_large_floor_all_are_found():
     """A fan of 130 deg to 10 m shows a floor forty times as large as the one above."""
-    wide = make_fan(512, 0.5, 10.0, 130.0, tilt_deg=15.0, height_m=1.5)
-    plane, select = selector("ring", wide)
+    plane, select = selector("ring", WIDE)
     places = [(r, b) for r in (3.0, 4.5, 6.0) for b in range(-55, 56, 11)]
-    found = select(plane.warp(picture(np.random.default_rng(5), places, fan=wide)))
+    found = select(plane.warp(picture(np.random.default_rng(5), places, fan=WIDE)))
     for place in places:
         assert miss(plane, found, *place) < 0.2 * plane.axes[0]
 
@@ -149,20 +146,16 @@ def test_noise_on_the_largest_floors_gives_no_more_than_eight_times_as_many_cand
 
 
 @pytest.mark.parametrize("kind", DETECTORS)
-@pytest.mark.parametrize("bearing_deg", [-14.0, 13.0, 15.0])
-def test_a_part_of_a_ring_at_the_fan_s_edge_is_found(kind, bearing_deg):
-    # At 2.4 m a disc spans 7.5 degrees: from 45 to 62 % of its ring lies within 14.4 degrees.
+@pytest.mark.parametrize("bearing_deg", [-14.0, 13.0, 15.0, 17.0])
+def test_a_part_of_a_ring_at_the_fan_s_edge_is_found_where_it_is_as_much_as_asked(
+    kind, bearing_deg
+):
+    # At 2.4 m a disc spans 7.5 degrees: from 45 to 62 % of its ring lies within 14.4 degrees, and
+    # of the last a quarter.
     plane, select = SELECTORS[kind]
     found = select(plane.warp(picture(np.random.default_rng(1), [(2.4, bearing_deg)])))
-    assert miss(plane, found, 2.4, bearing_deg) < (0.6 if kind == "ring" else 0.2 * plane.axes[0])
-
-
-@pytest.mark.parametrize("kind", DETECTORS)
-def test_less_of_a_ring_than_asked_for_is_no_candidate(kind):
-    plane, select = SELECTORS[kind]
-    bearing = FAN.bearing_max_deg + 2.6  # a quarter of the ring still shows
-    found = select(plane.warp(picture(np.random.default_rng(2), [(2.4, bearing)])))
-    assert miss(plane, found, 2.4, bearing) > 0.4 * plane.axes[0]
+    off = miss(plane, found, 2.4, bearing_deg) / plane.axes[0]
+    assert off > 0.4 if bearing_deg == 17 else off < (0.05 if kind == "ring" else 0.2)
 
 
 @pytest.mark.parametrize("kind", DETECTORS)
@@ -203,9 +196,8 @@ def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(monkeypatch
 
     # Canny's edges as OpenCV finds them, without those that the fan's own border makes.
     sigma = image[plane.inside == 1].std()
-    edges = cv2.Canny(
-        cv2.GaussianBlur(image, (3, 3), 0), settings.canny_low * sigma, settings.canny_high * sigma
-    )
+    limits = settings.canny_low * sigma, settings.canny_high * sigma
+    edges = cv2.Canny(cv2.GaussianBlur(image, (3, 3), 0), *limits)
     rows, columns = image.shape
     inside = np.pad(plane.inside, 2, constant_values=1)
     edge_rows, edge_columns = np.nonzero(edges)
@@ -227,9 +219,8 @@ def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(monkeypatch
     expected = np.zeros((rows, columns))
     for r in range(rows):
         for c in range(columns):
-            there = [
-                (r + y, c + x) for y, x in outline if 0 <= r + y < rows and 0 <= c + x < columns
-            ]
+            near = ((r + y, c + x) for y, x in outline)
+            there = [(y, x) for y, x in near if 0 <= y < rows and 0 <= x < columns]
             share = sum(plane.inside[p] for p in there) / len(outline)
             if share >= settings.min_visible:
                 hits = sum(on_edge[p] for p in there)
@@ -238,10 +229,9 @@ def test_the_outline_s_score_is_the_count_of_edge_pixels_written_out(monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [8730, 8731])
-def test_discs_whose_gap_the_beams_fill_are_candidates(seed):
+def test_discs_whose_gap_the_beams_fill_are_candidates():
     """Against where the simulator put them; by a gap that counts .75, one in eight is missed."""
-    scene = random_scene(seed, "tiny_discs", frames=60)
+    scene = random_scene(8730, "tiny_discs", frames=60)
     settings = config.preset("default").candidates
     plane = working_plane("floor", scene_fan(scene), 0.06, settings.disc_radius_px)
     select = CandidateSelector(settings, plane, scene.landmark_set, 0.4)

@@ -12,15 +12,8 @@ from sonarrec.simulation.fish import Shoal
 from sonarrec.simulation.grid import PolarGrid
 from sonarrec.simulation.receiver import Receiver
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import (
-    FishSection,
-    MotionSection,
-    MultipathSection,
-    Scene,
-    SonarSection,
-    scene_bearings,
-)
-from tests.support.bare import BIN_M, POLAR, RANGE_M, mean_power, power
+from sonarrec.simulation.scene import MotionSection, Scene, SonarSection, scene_bearings
+from tests.support.bare import BIN_M, POLAR, RANGE_M, changed, mean_power, power
 from tests.support.slow import but_first
 
 AREA = np.array([-1.5, 0.5]), np.array([1.5, 3.5])
@@ -29,10 +22,9 @@ AZIMUTHS = np.arange(-18.0, 18.05, 0.1)
 
 
 def shoal_scene(seed: int, **fish: float) -> Scene:
-    usual = {"number": 1, "length_m": 0.12, "bright_db": 30.0, "speed_m_s": 0.15}
-    floor = replace(POLAR.floor, coherence=0.0)
-    section = FishSection(**(usual | fish))
-    return replace(POLAR, seed=seed, frames=24, rate_hz=4.0, floor=floor, fish=section)
+    fish = {"number": 1, "length_m": 0.12, "bright_db": 30.0, "speed_m_s": 0.15} | fish
+    even = {"coherence": 0.0}
+    return changed(POLAR, seed=seed, frames=24, rate_hz=4.0, floor=even, fish=fish)
 
 
 @pytest.mark.parametrize("seed", but_first(SEEN))
@@ -73,8 +65,7 @@ def test_a_shadow_lies_where_the_ray_past_the_fish_meets_the_floor() -> None:
 
 def with_late(**late: float) -> Scene:
     """A patchy floor, so that a copy can be told from what it copies."""
-    floor = replace(POLAR.floor, texture_db=4.0, texture_m=0.06)
-    return replace(POLAR, floor=floor, multipath=MultipathSection(**late))
+    return changed(POLAR, floor={"texture_db": 4.0, "texture_m": 0.06}, multipath=late)
 
 
 def delay_of(seen: np.ndarray) -> float:
@@ -94,7 +85,7 @@ def test_the_copy_comes_as_late_as_stated(delay: float) -> None:
 
 @pytest.mark.slow
 def test_the_copy_is_as_weak_as_stated_and_behind_the_delay() -> None:
-    scene = replace(POLAR, multipath=MultipathSection(copy_db=-6.0, delay_m=0.5))
+    scene = changed(POLAR, multipath={"copy_db": -6.0, "delay_m": 0.5})
     late = mean_power(scene, 20).mean(axis=1) - mean_power(POLAR, 20).mean(axis=1)
     begins = round(0.5 / BIN_M)
     assert late[begins + 15 :].mean() == pytest.approx(10**-0.6, rel=0.08)
@@ -102,14 +93,14 @@ def test_the_copy_is_as_weak_as_stated_and_behind_the_delay() -> None:
 
 
 def test_its_speckle_is_new_in_every_frame() -> None:
-    still = replace(POLAR, frames=2, multipath=MultipathSection(band_db=20.0, band_width_m=5.0))
+    still = changed(POLAR, frames=2, multipath={"band_db": 20.0, "band_width_m": 5.0})
     first, second = (power(f.image, still) for f in render(still))
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.05
     assert np.mean(first**2) / first.mean() ** 2 == pytest.approx(2.0, rel=0.05)
 
 
-def of_sonar(**changed: float) -> Scene:
-    return replace(POLAR, sonar=replace(SonarSection(layout="polar", beams=24), **changed))
+def of_sonar(**levels: float) -> Scene:
+    return replace(POLAR, sonar=SonarSection(layout="polar", beams=24, **levels))
 
 
 def amplitudes(scene: Scene, pan_deg: float = 3.21) -> np.ndarray:

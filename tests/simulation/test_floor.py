@@ -12,8 +12,8 @@ import pytest
 from sonarrec.errors import SonarrecError
 from sonarrec.simulation.motion import Plane, Pose
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import FloorSection, PlacedLandmark, PlacedObject, Scene, scene_sonar
-from tests.support.bare import BIN_M, POLAR, RANGE_M, even_power
+from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene, scene_sonar
+from tests.support.bare import BIN_M, POLAR, RANGE_M, changed, even_power
 
 HEIGHT, GROUND, RADIUS, LEAN = 0.68, 1.9, 0.15, 12.0
 SINE, COSINE = math.sin(math.radians(LEAN)), math.cos(math.radians(LEAN))
@@ -21,29 +21,21 @@ SINE, COSINE = math.sin(math.radians(LEAN)), math.cos(math.radians(LEAN))
 
 def in_space(x: float, y: float, slope_deg: float, towards_deg: float) -> np.ndarray:
     """A place of the floor, turned about the horizontal line across the way it rises."""
-    axis = np.array(
-        [-math.cos(math.radians(towards_deg)), math.sin(math.radians(towards_deg)), 0.0]
-    )
-    angle, flat = -math.radians(slope_deg), np.array([x, y, 0.0])
+    towards, angle, flat = math.radians(towards_deg), -math.radians(slope_deg), np.array([x, y, 0])
+    axis, cos = np.array([-math.cos(towards), math.sin(towards), 0]), math.cos(angle)
     # Rodrigues' formula.
-    return np.asarray(
-        flat * math.cos(angle)
-        + np.cross(axis, flat) * math.sin(angle)
-        + axis * (axis @ flat) * (1 - math.cos(angle))
-    )
+    return flat * cos + np.cross(axis, flat) * math.sin(angle) + axis * (axis @ flat) * (1 - cos)
 
 
-def sloping(scene: Scene, slope: float, towards: float) -> Scene:
-    floor = replace(scene.floor, slope_deg=slope, slope_towards_deg=towards)
-    return replace(scene, floor=floor)
+def sloping(slope: float, towards: float) -> Scene:
+    return changed(POLAR, floor={"slope_deg": slope, "slope_towards_deg": towards})
 
 
 @pytest.mark.parametrize("towards", [0.0, 180.0, 90.0, -140.0])
 def test_truth_and_echo_lie_where_the_slope_puts_them(towards: float) -> None:
     target = PlacedObject("filled", 2.1, 7.0, size_m=0.03, bright_db=30)
-    scene = replace(
-        sloping(POLAR, 8.0, towards), objects=(target,), landmarks=(PlacedLandmark(1, 1.7, -6.0),)
-    )
+    landmark = PlacedLandmark(1, 1.7, -6.0)
+    scene = replace(sloping(8.0, towards), objects=(target,), landmarks=(landmark,))
     frame = next(render(scene))
     for row, ground, azimuth in (
         (frame.distractors[0], 2.1, math.radians(7)),
@@ -52,9 +44,8 @@ def test_truth_and_echo_lie_where_the_slope_puts_them(towards: float) -> None:
         place = in_space(ground * math.sin(azimuth), ground * math.cos(azimuth), 8.0, towards)
         seen = place - [0, 0, 0.68]
         assert row.range_m == pytest.approx(np.linalg.norm(seen), abs=1e-4)
-        assert row.bearing_deg == pytest.approx(
-            math.degrees(math.atan2(seen[0], seen[1])), abs=1e-3
-        )
+        bearing_deg = math.degrees(math.atan2(seen[0], seen[1]))
+        assert row.bearing_deg == pytest.approx(bearing_deg, abs=1e-3)
     bright = even_power(scene) > 100
     bin_, beam = (v.mean() for v in np.nonzero(bright))
     seen = frame.distractors[0]
@@ -66,8 +57,7 @@ def test_truth_and_echo_lie_where_the_slope_puts_them(towards: float) -> None:
 
 @pytest.mark.parametrize(("towards", "slope"), [(0.0, 6.0), (180.0, 4.0)])
 def test_the_axis_meets_the_slope_where_a_triangle_says(towards: float, slope: float) -> None:
-    scene = sloping(POLAR, slope, towards)
-    scene = replace(scene, sonar=replace(scene.sonar, vertical_beam_deg=8.0))
+    scene = changed(sloping(slope, towards), sonar={"vertical_beam_deg": 8.0})
     # The beam's axis is 20 deg down, and the floor rises or falls to meet it.
     sine = math.sin(math.radians(20 + (slope if towards == 0 else -slope)))
     expected = 0.68 * math.cos(math.radians(slope)) / sine
@@ -98,25 +88,14 @@ def test_what_is_looked_at_is_what_is_seen_there() -> None:
 
 
 def disc(lean: float = 0.0, towards: float = 0.0, **more: float) -> Scene:
-    item = PlacedObject(
-        "filled",
-        GROUND,
-        0.0,
-        size_m=RADIUS,
-        bright_db=20,
-        lean_deg=lean,
-        lean_towards_deg=towards,
-        **more,
-    )
+    leaning = {"lean_deg": lean, "lean_towards_deg": towards} | more
+    item = PlacedObject("filled", GROUND, 0.0, size_m=RADIUS, bright_db=20, **leaning)
     return replace(POLAR, objects=(item,))
 
 
-@pytest.mark.parametrize(
-    ("lean", "towards"), [(0.0, 0.0), (LEAN, 0.0), (LEAN, 180.0), (LEAN, 90.0)]
-)
+@pytest.mark.parametrize(("lean", "towards"), [(0, 0), (LEAN, 0), (LEAN, 180), (LEAN, 90)])
 def test_the_area_that_shows_is_the_projected_disc(lean: float, towards: float) -> None:
-    scene = disc(lean, towards)
-    seen = even_power(replace(scene, sonar=replace(scene.sonar, beam_width_deg=0.1)))
+    seen = even_power(changed(disc(lean, towards), sonar={"beam_width_deg": 0.1}))
     cell = RANGE_M[:, None] * math.radians(0.3) * BIN_M * np.ones(96)
     window = slice(*np.searchsorted(RANGE_M, [1.8, 2.22]))
     floor = even_power(POLAR)
@@ -161,20 +140,13 @@ def test_a_raised_far_edge_casts_a_shadow_as_long_as_the_ray_over_it() -> None:
 def test_the_raised_edge_of_a_leaning_disc_is_bright_on_the_near_side(
     towards: float, raised: str
 ) -> None:
-    levels = []
-    for specular_db in (0.0, 6.0):
-        scene = disc(LEAN, towards)
-        levels.append(
-            even_power(replace(scene, fading=replace(scene.fading, specular_db=specular_db)))
-        )
-    change_db = 10 * np.log10(levels[1] / levels[0])[:, 46:50].mean(axis=1)
-    near, far = RANGE_M < 2.0, RANGE_M > 2.04
-    if raised == "near":
-        assert change_db[near].max() == pytest.approx(6, abs=0.9)
-        assert np.abs(change_db[far]).max() < 0.5
-    else:
-        assert change_db[far].min() == pytest.approx(-6, abs=0.9)
-        assert np.abs(change_db[near]).max() < 0.5
+    scene = disc(LEAN, towards)
+    with_edge = even_power(changed(scene, fading={"specular_db": 6.0}))
+    change_db = 10 * np.log10(with_edge / even_power(scene))[:, 46:50].mean(axis=1)
+    near, far = change_db[RANGE_M < 2.0], change_db[RANGE_M > 2.04]
+    edge_db, others = (near.max(), far) if raised == "near" else (-far.min(), near)
+    assert edge_db == pytest.approx(6, abs=0.9)
+    assert np.abs(others).max() < 0.5
 
 
 def test_truth_is_the_middle_of_the_raised_disc() -> None:
@@ -183,17 +155,16 @@ def test_truth_is_the_middle_of_the_raised_disc() -> None:
     up = 0.15 * math.sin(math.radians(15))
     assert row.range_m == pytest.approx(math.hypot(1.9, 0.68 - up), abs=1e-4)
     assert row.bearing_deg == pytest.approx(3.0, abs=1e-4)
-    moving = replace(scene, motion=replace(scene.motion, surge_m_s=0.2))
-    with pytest.raises(SonarrecError, match="standing sonar"):
-        next(render(moving))
+    with pytest.raises(SonarrecError, match="standing"):
+        next(render(changed(scene, motion={"surge_m_s": 0.2})))
 
 
 @pytest.mark.parametrize("share", [0.15, 0.4])
 def test_silt_covers_its_share_and_not_the_rim_alone(share: float) -> None:
-    floor = replace(POLAR.floor, silt_m=0.06)
-    scene = replace(disc(silted=share), floor=floor)
-    bare = even_power(disc())
-    covered = even_power(scene)
+    bare, covered = (
+        even_power(disc()),
+        even_power(changed(disc(silted=share), floor={"silt_m": 0.06})),
+    )
     inside = bare > 60
     # Halfway in decibels between the disc's 20 dB and the floor's 0.
     under = inside & (covered < bare / 10)
@@ -207,22 +178,11 @@ def test_silt_covers_its_share_and_not_the_rim_alone(share: float) -> None:
     assert (under & core).sum() > 0.2 * share * core.sum()
 
 
-def rippled(towards: float, length: float = 0.12, height: float = 0.008) -> Scene:
-    floor = FloorSection(
-        texture_db=0,
-        angle_exponent=0,
-        speckle_s=1e9,
-        ripple_height_m=height,
-        ripple_length_m=length,
-        ripple_towards_deg=towards,
-        ripple_bends=0,
-    )
-    return replace(POLAR, floor=floor)
-
-
 @pytest.mark.parametrize("length", [0.06, 0.12, 0.25])
 def test_ripples_are_as_long_as_stated(length: float) -> None:
-    seen = even_power(rippled(0.0, length, length / 15))[:, 44:52].mean(axis=1)
+    ripples = {"ripple_height_m": length / 15, "ripple_length_m": length, "ripple_bends": 0}
+    scene = changed(POLAR, floor=ripples | {"ripple_towards_deg": 0.0})
+    seen = even_power(scene)[:, 44:52].mean(axis=1)
     ground = np.sqrt(RANGE_M**2 - HEIGHT**2)
     even = np.linspace(ground[0], ground[-1], 4096)
     log = np.interp(even, ground, 10 * np.log10(seen))
@@ -236,10 +196,9 @@ def test_single_stones_glitter_on_bright_parts_alone() -> None:
     """Two discs side by side, one of gravel all over, one a bare plate with a blank's ring."""
     filled = PlacedObject("filled", 2.0, -6.0, size_m=RADIUS, bright_db=10)
     blank = PlacedObject("blank", 2.0, 6.0, size_m=RADIUS, bright_db=10, plate_db=-6)
-    scene = replace(POLAR, landmarks=(), objects=(filled, blank))
+    scene = replace(POLAR, objects=(filled, blank))
     glitter = {"glitter_db": 6.0, "glitter_m": 0.02, "glitter_share": 0.1}
-    with_glitter = replace(scene, floor=replace(scene.floor, **glitter))
-    gain_db = 10 * np.log10(even_power(with_glitter) / even_power(scene))
+    gain_db = 10 * np.log10(even_power(changed(scene, floor=glitter)) / even_power(scene))
     beam = np.degrees(np.arctan(0.6 * RADIUS / 2.0)) / 0.3  # half of what is looked at
     rows = np.abs(RANGE_M - math.hypot(2.0, HEIGHT)) < 0.5 * RADIUS
     gravel, plate = (

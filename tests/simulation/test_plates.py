@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +12,11 @@ from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.simulation.render import SimulatedFrame, render
 from sonarrec.simulation.scene import HeldPlate, PlateScene, load_scene
 from sonarrec.simulation.simulate import simulate
+from tests.support.rows import read_rows
 
-SCENE = PlateScene(
-    plate=(HeldPlate(2, range_m=1.0, bearing_deg=4.0, turned_deg=70.0, tilt_deg=40.0),),
-    frames=2,
-    swing=0.3,
-    streaks=0,
-    clutter=0,
-    light_db=0.0,
-)
+PLATE = HeldPlate(2, range_m=1.0, bearing_deg=4.0, turned_deg=70.0, tilt_deg=40.0)
+EVEN = {"streaks": 0, "clutter": 0, "light_db": 0.0}
+SCENE = PlateScene(plate=(PLATE,), frames=2, swing=0.3, **EVEN)
 
 
 def at(scene: PlateScene, frame: SimulatedFrame, range_m: float, bearing_deg: float) -> float:
@@ -35,20 +30,19 @@ def at(scene: PlateScene, frame: SimulatedFrame, range_m: float, bearing_deg: fl
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_cells_show_between_the_corners(mirrored: bool) -> None:
     """Corners alone say, by interpolation, where each cell lies."""
-    scene = replace(SCENE, plate=(replace(SCENE.plate[0], mirrored=mirrored),))
+    scene = replace(SCENE, plate=(replace(PLATE, mirrored=mirrored),))
     frame = next(render(scene))
     (plate,) = frame.truth
     corners = plate.corners[:, 0] * np.exp(1j * np.radians(90 - plate.corners[:, 1]))
     drawing = scene.landmark_set.drawings()[2]
     grey = np.empty((7, 7))
-    for row in range(7):
-        for column in range(7):
-            right, down = (column + 0.5) / 7, (row + 0.5) / 7
-            top = corners[0] + right * (corners[1] - corners[0])
-            bottom = corners[3] + right * (corners[2] - corners[3])
-            place = top + down * (bottom - top)
-            bearing = 90 - np.degrees(np.angle(place))
-            grey[row, column] = at(scene, frame, abs(place), bearing)
+    for row, column in np.ndindex(7, 7):
+        right, down = (column + 0.5) / 7, (row + 0.5) / 7
+        top = corners[0] + right * (corners[1] - corners[0])
+        bottom = corners[3] + right * (corners[2] - corners[3])
+        place = top + down * (bottom - top)
+        bearing = 90 - np.degrees(np.angle(place))
+        grey[row, column] = at(scene, frame, abs(place), bearing)
     assert np.corrcoef(grey.ravel(), drawing.ravel())[0, 1] > 0.8
     middle = corners.mean()
     assert abs(middle) == pytest.approx(plate.range_m, abs=0.01)
@@ -60,8 +54,7 @@ def test_cells_show_between_the_corners(mirrored: bool) -> None:
 
 
 def test_without_tilt_below_the_sonar_it_is_a_square_on_the_floor() -> None:
-    plate = replace(SCENE.plate[0], tilt_deg=0.0)
-    scene = replace(SCENE, plate=(plate,), swing=0.0, height_m=0.6)
+    scene = replace(SCENE, plate=(replace(PLATE, tilt_deg=0.0),), swing=0.0, height_m=0.6)
     (true,) = next(render(scene)).truth
     assert true.range_m == pytest.approx(1.0)
     ground_m = np.sqrt(true.corners[:, 0] ** 2 - 0.6**2)
@@ -80,14 +73,10 @@ def test_the_same_scene_gives_the_same_frames_and_blanks_show_nothing() -> None:
 def test_a_recording_is_written_with_its_truth(tmp_path: Path) -> None:
     scene = load_scene("plates")
     out = simulate(replace(scene, frames=2), tmp_path / "log")
-    with (out / "gt.csv").open() as file:
-        assert [(row["frame"], row["landmark"]) for row in csv.DictReader(file)] == [
-            ("0", "0"), ("0", "3"), ("1", "0"), ("1", "3"),
-        ]  # fmt: skip
-    names = {path.name for path in out.iterdir()}
-    assert names == {
-        *("000000.png", "000001.png", "gt.csv", "corners.csv", "landmarks.toml", "sonar.toml")
-    }
+    rows = [(row["frame"], row["landmark"]) for row in read_rows(out / "gt.csv")]
+    assert rows == [("0", "0"), ("0", "3"), ("1", "0"), ("1", "3")]
+    names = {"000000.png", "000001.png", "gt.csv", "corners.csv", "landmarks.toml", "sonar.toml"}
+    assert {path.name for path in out.iterdir()} == names
     with pytest.raises(UsageError, match="PNGs"):
         simulate("plates", tmp_path / "other.mcap")
 

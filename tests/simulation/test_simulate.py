@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sonarrec.simulation.render import SimulatedFrame, render
+from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import (
     MotionSection,
     PlacedLandmark,
@@ -17,38 +17,28 @@ from sonarrec.simulation.scene import (
     Scene,
     SonarSection,
 )
-from sonarrec.simulation.truth import Truth
 from sonarrec.sonar.geometry import pixel_from_polar
 from sonarrec.truth.match import share_in_image
-from tests.support.bare import BARE, BIN_M, POLAR, mean_power, power
+from tests.support.bare import BARE, BIN_M, POLAR, changed, looking, mean_power, power
 from tests.support.command import sonarrec
 
 
 def test_truth_pixel_is_the_contract_formula() -> None:
     scene = replace(BARE, landmarks=(PlacedLandmark(3, 1.9, 6.0, 30.0),))
-    scene = replace(
-        scene, motion=MotionSection(pan_min_deg=2, pan_max_deg=2, pan_start_deg=2, pan_deg_s=0)
-    )
-    (row,) = next(render(scene)).truth
+    (row,) = next(render(looking(scene, 2))).truth
     slant = math.hypot(1.9, 0.68)
     assert row.range_m == pytest.approx(slant, abs=1e-5)
     assert row.bearing_deg == pytest.approx(4.0, abs=1e-4)
-    assert row.x_px == pytest.approx(190 + slant * math.sin(math.radians(4)) / BIN_M, abs=2e-3)
-    assert row.y_px == pytest.approx(
-        511.5 + 1.25 / BIN_M - slant * math.cos(math.radians(4)) / BIN_M, abs=2e-3
-    )
+    across, ahead = slant * math.sin(math.radians(4)), slant * math.cos(math.radians(4))
+    assert row.x_px == pytest.approx(190 + across / BIN_M, abs=2e-3)
+    assert row.y_px == pytest.approx(511.5 + (1.25 - ahead) / BIN_M, abs=2e-3)
     assert row.orientation_deg == pytest.approx(32.0)
     assert row.visible == 1.0
 
 
 def test_sectors_lie_where_the_truth_says() -> None:
-    scene = replace(
-        BARE,
-        landmarks=(PlacedLandmark(1, 1.8, 3.0, 75.0, bright_db=15, symbol_db=15, plate_db=-10),),
-    )
-    scene = replace(
-        scene, motion=MotionSection(pan_min_deg=-5, pan_max_deg=-5, pan_start_deg=-5, pan_deg_s=0)
-    )
+    disc = PlacedLandmark(1, 1.8, 3.0, 75.0, bright_db=15, symbol_db=15, plate_db=-10)
+    scene = looking(replace(BARE, landmarks=(disc,)), -5)
     (row,) = next(render(scene)).truth
     seen = mean_power(scene, 12)
     angle = np.arange(0, 360, 5.0)
@@ -67,30 +57,19 @@ def test_sectors_lie_where_the_truth_says() -> None:
 
 
 def test_image_follows_the_truth_through_heave_and_sway() -> None:
-    scene = replace(
-        BARE,
-        rate_hz=1.0,
-        motion=replace(
-            MotionSection(pan_min_deg=-4, pan_max_deg=4, pan_start_deg=-4, pan_deg_s=1.0),
-            heave_m=0.08,
-            sway_x_m=0.1,
-            sway_y_m=0.1,
-            sway_period_s=9.0,
-            yaw_jitter_deg=0.5,
-        ),
-        frames=8,
-        objects=(PlacedObject("filled", 1.9, 1.0, size_m=0.12, bright_db=25),),
-    )
-    assert np.ptp([seen_where_it_is(frame, scene).range_m for frame in render(scene)]) > 0.05
-
-
-def seen_where_it_is(frame: SimulatedFrame, scene: Scene) -> Truth:
-    """The truth of the one object, which has a strong echo where it says."""
-    (row,) = frame.distractors
-    line, column = np.nonzero(cv2.blur(power(frame.image, scene), (5, 5)) > 60)
-    assert column.mean() == pytest.approx(row.x_px, abs=2)
-    assert line.mean() == pytest.approx(row.y_px, abs=2)
-    return row
+    pan = {"pan_min_deg": -4, "pan_max_deg": 4, "pan_start_deg": -4, "pan_deg_s": 1.0}
+    sway = {"sway_x_m": 0.1, "sway_y_m": 0.1, "sway_period_s": 9.0, "yaw_jitter_deg": 0.5}
+    target = PlacedObject("filled", 1.9, 1.0, size_m=0.12, bright_db=25)
+    motion = pan | sway | {"heave_m": 0.08}
+    scene = changed(BARE, rate_hz=1.0, motion=motion, frames=8, objects=(target,))
+    ranges = []
+    for frame in render(scene):
+        (row,) = frame.distractors
+        line, column = np.nonzero(cv2.blur(power(frame.image, scene), (5, 5)) > 60)
+        assert column.mean() == pytest.approx(row.x_px, abs=2)
+        assert line.mean() == pytest.approx(row.y_px, abs=2)
+        ranges.append(row.range_m)
+    assert np.ptp(ranges) > 0.05
 
 
 def test_more_floor_than_memory_holds_is_one_clear_line(tmp_path) -> None:
@@ -108,9 +87,8 @@ def test_what_the_image_of_a_wide_fan_cuts_off_is_not_visible() -> None:
         PlacedLandmark(i, g, a)
         for i, g, a in [(1, 1.6, 0.0), (2, 1.6, 42.0), (3, 1.5, -46.0), (4, 1.4, 60.0)]
     )
-    wide = replace(BARE.sonar, field_of_view_deg=130.0, beams=256, beam_width_deg=1.0)
-    scene = replace(BARE, frames=1, sonar=wide, landmarks=landmarks)
-    (frame,) = render(scene)
+    wide = {"field_of_view_deg": 130.0, "beams": 256, "beam_width_deg": 1.0}
+    (frame,) = render(changed(BARE, sonar=wide, landmarks=landmarks))
     shown = np.pad(np.ones(frame.image.shape, bool), 400)
     rng = np.random.default_rng(0)
     radius, angle = 0.15 * np.sqrt(rng.random(200_000)), 2 * np.pi * rng.random(200_000)
@@ -146,38 +124,35 @@ def test_speckle_is_rayleigh_and_of_unit_power() -> None:
 def test_speckle_is_frozen_under_pan() -> None:
     """Two images seven beams (2.1 deg) and one second apart, once compensated."""
     panning = MotionSection(pan_min_deg=-10, pan_max_deg=10, pan_start_deg=0, pan_deg_s=2.1)
-    usual = Scene(sonar=replace(SonarSection(), layout="polar"))
+    usual = Scene(sonar=SonarSection(layout="polar"))
     for scene, least in ((POLAR, 0.99), (usual, 0.9)):
-        scene = replace(scene, frames=8, rate_hz=7.0, motion=panning)
-        frames = [frame.image.astype(float) for frame in render(scene)]
-        pair = frames[0][:, 7:].ravel(), frames[7][:, :-7].ravel()
-        assert np.corrcoef(*pair)[0, 1] > least
+        *seen, last = render(replace(scene, frames=2, rate_hz=1.0, motion=panning))
+        assert correlation(seen[0].image[:, 7:], last.image[:, :-7]) > least
+
+
+def correlation(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
 
 
 def test_speckle_decorrelates_with_time_as_stated() -> None:
-    scene = replace(POLAR, frames=5, rate_hz=0.1, floor=replace(POLAR.floor, speckle_s=40.0))
+    scene = changed(POLAR, frames=5, rate_hz=0.1, floor={"speckle_s": 40.0})
     seen = [power(frame.image, scene) for frame in render(scene)]
     for lag in (1, 2, 4):
-        correlation = np.corrcoef(seen[0].ravel(), seen[lag].ravel())[0, 1]
         # Power correlates as the square of the amplitude's exp(-time / 40 s); up to a tenth more,
         # since the scatterers of a beam are few and keep their strengths.
         expected = math.exp(-2 * 10 * lag / 40)
-        assert expected - 0.02 < correlation < expected + 0.1
+        assert expected - 0.02 < correlation(seen[0], seen[lag]) < expected + 0.1
 
 
 def test_speckle_decorrelates_with_heave() -> None:
-    def scene(heave: float) -> Scene:
-        floor = replace(POLAR.floor, speckle_m=0.05)
-        motion = replace(POLAR.motion, heave_m=heave, heave_period_s=2.0)
-        return replace(POLAR, frames=2, rate_hz=1.0, floor=floor, motion=motion)
-
-    def correlation(heave: float) -> float:
-        first, second = (power(f.image, scene(heave))[200:] for f in render(scene(heave)))
-        return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
-
-    assert correlation(0.0) > 0.99
-    assert correlation(0.004) > correlation(0.02) > correlation(0.06)
-    assert correlation(0.06) < 0.2
+    found = []
+    for heave_m in (0.0, 0.004, 0.02, 0.06):
+        motion = {"heave_m": heave_m, "heave_period_s": 2.0}
+        scene = changed(POLAR, frames=2, rate_hz=1.0, floor={"speckle_m": 0.05}, motion=motion)
+        found.append(correlation(*(power(f.image, scene)[200:] for f in render(scene))))
+    assert found[0] > 0.99
+    assert found[1] > found[2] > found[3]
+    assert found[3] < 0.2
 
 
 def test_tall_things_cast_shadows() -> None:
@@ -195,8 +170,7 @@ def test_tall_things_cast_shadows() -> None:
 
 
 def test_noise_level_is_the_stated_snr() -> None:
-    above_floor = replace(POLAR, sonar=replace(POLAR.sonar, range_min_m=0.3, range_max_m=2.8))
-    noisy = replace(above_floor, noise=replace(POLAR.noise, snr_db=12.0))
-    seen = mean_power(noisy, 4)
+    sonar = {"range_min_m": 0.3, "range_max_m": 2.8}
+    seen = mean_power(changed(POLAR, sonar=sonar, noise={"snr_db": 12.0}), 4)
     rows = int((0.6 - 0.3) / 2.5 * 512)  # nearer than the height there is only water
     assert 10 * math.log10(seen[:rows].mean()) == pytest.approx(-12.0, abs=0.3)

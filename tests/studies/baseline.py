@@ -77,10 +77,9 @@ class HoughSmi:
             [b[0] + (b[1] - b[0]) * (np.arange(3) + 0.5) / 3 for b in (inner, outer)]
         )
         angle = (np.arange(ANGLES) + 0.5) * 2 * np.pi / ANGLES
-        self._dx = (self.radius * lines[:, None] * np.cos(angle)).astype(np.float32)
-        self._dy = (-self.radius * self._squeeze * lines[:, None] * np.sin(angle)).astype(
-            np.float32
-        )
+        across, ahead = self.radius, -self.radius * self._squeeze
+        self._dx = (across * lines[:, None] * np.cos(angle)).astype(np.float32)
+        self._dy = (ahead * lines[:, None] * np.sin(angle)).astype(np.float32)
         codes = landmarks.codes(angle)
         # (turns, IDs, angles), -1 or 1: agreement is linear in the bright cells per angle.
         self._templates = np.stack([np.roll(codes, t, axis=1) for t in range(ANGLES)]) * 2 - 1
@@ -92,16 +91,13 @@ class HoughSmi:
         stretch = s.scale / self._squeeze
         small = cv2.resize(image, None, fx=s.scale, fy=stretch, interpolation=cv2.INTER_AREA)
         small = cv2.GaussianBlur(small, (s.blur, s.blur), 0)
-        found = cv2.HoughCircles(
-            small,
-            cv2.HOUGH_GRADIENT,
-            dp=1,
-            minDist=self._radii[0],
-            param1=s.edge,
-            param2=s.votes,
-            minRadius=self._radii[0],
-            maxRadius=self._radii[1],
-        )
+        radii = {
+            "minDist": self._radii[0],
+            "minRadius": self._radii[0],
+            "maxRadius": self._radii[1],
+        }
+        limits = {"param1": s.edge, "param2": s.votes}
+        found = cv2.HoughCircles(small, cv2.HOUGH_GRADIENT, dp=1, **radii, **limits)
         if found is None:
             return []
         return [
@@ -177,7 +173,6 @@ class MajorityTracks:
 
 def fan_of(folder: Path, image: np.ndarray) -> Fan:
     """The fan of a simulated fan log's images."""
-
     return fan_for_image(load_sonar(folder / "sonar.toml").complete("test"), *image.shape[:2])
 
 

@@ -82,8 +82,9 @@ def count(seed: int) -> np.ndarray:
     for shot, frame in frames:
         claims = [e for e in stages.step(frame).estimates if e.declared]
         for number in scene.landmark_set.ids:
-            true = [t for t in shot.truth if t.landmark == number]
-            said = [e for e in claims if e.landmark == number]
+            true, said = (
+                [x for x in some if x.landmark == number] for some in (shot.truth, claims)
+            )
             near = [e for e in said if any(off_m(e, t) <= SIDE_M / 2 for t in true)]
             whole = any(t.visible >= DEFAULT.min_visible for t in true)
             counted += whole and bool(near), whole, len(near) < len(said), not true

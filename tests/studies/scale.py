@@ -31,11 +31,9 @@ SEEDS = range(8000, 8004)
 
 def recordings(folder: Path) -> list[Path]:
     """Simulated recordings, one file each; their sonar.toml serves all logs of the folder."""
-    made = []
-    for seed in SEEDS:
-        path = folder / f"made{seed}.mcap"
+    made = [folder / f"made{seed}.mcap" for seed in SEEDS]
+    for seed, path in zip(SEEDS, made, strict=True):
         write_recording(replace(load_scene("sample_pan"), seed=seed, frames=FRAMES), path)
-        made.append(path)
     shutil.copy(made[0].with_suffix(".sonar.toml"), folder / "sonar.toml")
     return made
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,8 +58,7 @@ RATE_GOALS = (
 """Method, scenes, least TPR, most FPR (strict). The worst kind: of the pool, in each of the two."""
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
+class Recording(NamedTuple):
     """One random scene. folder: of its results and its truth."""
 
     kind: str
@@ -80,17 +80,11 @@ class Row:
 
 def scored_rows(recordings: Sequence[Recording]) -> list[Row]:
     """Each recording by itself, for the IDs of others may be different ones."""
-    rows = []
-    for recording in recordings:
-        found = score([recording.folder])
-        counts = {
-            (protocol, name): count
-            for (protocol, of), count in counted(found).items()
-            for name, method in METHODS.items()
-            if of == method
-        }
-        passes = len(found.passes)
-        rows.append(Row(recording.kind, recording.seed, passes, counts, found.frames))
+    rows, named = [], {method: name for name, method in METHODS.items()}
+    for kind, seed, folder in recordings:
+        found = score([folder])
+        counts = {(how, named[of]): c for (how, of), c in counted(found).items() if of in named}
+        rows.append(Row(kind, seed, len(found.passes), counts, found.frames))
     return rows
 
 
@@ -199,10 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for seed in asked.seeds
     ]
     configs = [preset(name) for name in PRESETS if name in OURS or not asked.ours]
-    scenes = [random_scene(r.seed, r.kind, frames=asked.frames) for r in recordings]
+    rivals = {} if asked.ours else {METHOD: Settings()}
     jobs = [
-        Job(s, r.folder, configs, {} if asked.ours else {METHOD: Settings()})
-        for s, r in zip(scenes, recordings, strict=True)
+        Job(random_scene(seed, kind, frames=asked.frames), folder, configs, rivals)
+        for kind, seed, folder in recordings
     ]
     in_processes(recognise, jobs)
     rows = scored_rows(recordings)

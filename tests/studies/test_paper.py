@@ -15,7 +15,7 @@ from sonarrec.simulation.motion import poses
 from sonarrec.sonar.frame import Estimate
 from tests.studies import baseline, bench, scenes
 from tests.studies.learning.built_in import MODEL_SEEDS
-from tests.studies.paper import parts, prediction, readings, search, world
+from tests.studies.paper import parts, prediction, search, world
 from tests.studies.paper.published import FRAMES, IDS, IN_VIEW, TABLE_4, TABLE_5
 from tests.studies.paper.world import kept_worlds
 from tests.support.counted import counted
@@ -56,29 +56,28 @@ COUNTS_5 = [(350, 611, 29, 2), (0, 992, 0, 0), (300, 625, 21, 46), (239, 631, 31
 
 
 @pytest.mark.parametrize(("table", "counts"), [(TABLE_4, COUNTS_4), (TABLE_5, COUNTS_5)])
-def test_the_published_rates_follow_from_the_published_counts(table, counts) -> None:
+def test_the_published_rates_and_frames_in_view_follow_from_the_counts(table, counts) -> None:
     for k, (tp, tn, fp, fn) in enumerate([*counts, tuple(np.sum(counts, axis=0))]):
         assert table["fpr"][k] == pytest.approx(fp / (fp + tn), abs=6e-5)
         assert table["tpr"][k] == pytest.approx(tp / (tp + fn) if tp + fn else 0, abs=6e-5)
     assert (table["fpr"][4], table["tpr"][4]) in [(fpr, tpr) for _, fpr, tpr in PUBLISHED]
-
-
-def test_in_view_is_what_the_counts_of_table_5_say() -> None:
-    for k, (tp, _, _, fn) in enumerate(COUNTS_5):
-        assert IN_VIEW.get(IDS[k], 0) == tp + fn
+    assert [IN_VIEW.get(i, 0) for i in IDS] == [tp + fn for tp, _, _, fn in COUNTS_5]
 
 
 def test_the_kept_worlds_are_within_the_ranges_and_seen_as_often_as_published() -> None:
     """Counted from the simulator's truth, not by the rule by which the worlds were found."""
     for kept in kept_worlds():
         assert all(u.low <= kept.values[u.name] <= u.high for u in world.UNKNOWNS)
-        scene = kept.scene(5)
-        assert scene.frames == FRAMES
-        pan = np.array([p.pan_deg for p in poses(scene)])
-        half = scene.sonar.field_of_view_deg / 2
-        for item in scene.landmarks:
-            seen = int((np.abs(item.azimuth_deg - pan) < half).sum())
-            assert abs(seen - IN_VIEW[item.id]) <= 16
+        check_seen_as_often_as_published(kept)
+
+
+def check_seen_as_often_as_published(kept: world.World) -> None:
+    scene = kept.scene(5)
+    assert scene.frames == FRAMES
+    pan = np.array([p.pan_deg for p in poses(scene)])
+    for item in scene.landmarks:
+        seen = int((np.abs(item.azimuth_deg - pan) < scene.sonar.field_of_view_deg / 2).sum())
+        assert abs(seen - IN_VIEW[item.id]) <= 16
 
 
 @pytest.mark.slow
@@ -99,7 +98,7 @@ def test_a_recording_is_scored_by_every_method(tmp_path: Path) -> None:
     assert tables[0] != tables[1]  # other particles
     # Readings are compared with SMI and the preset as they are in the first folder.
     read = counted(score([tmp_path / "readings"]))
-    assert {method for _, method in read} == {*prediction.PLAIN.values(), *readings.READINGS}
+    assert {method for _, method in read} == {*prediction.PLAIN.values(), *parts.READINGS}
     for method in prediction.PLAIN.values():
         assert read["paper", method] == counts["paper", method]
         assert read["strict", method] == counts["strict", method]
@@ -114,9 +113,8 @@ def every_point(folders: list[Path], method: str) -> list[tuple[float, float]]:
         tp = tn = fp = fn = 0
         for rows, (_, truth) in zip(mine, logs, strict=True):
             there = {(r["frame"], r["landmark"]) for r in truth if float(r["visible"]) >= 0.5}
-            said = [
-                (r["frame"], r["landmark"]) for r in rows if round(float(r["score"]), 6) >= least
-            ]
+            enough = (r for r in rows if round(float(r["score"]), 6) >= least)
+            said = [(r["frame"], r["landmark"]) for r in enough]
             tp += sum(s in there for s in said)
             fn += len(there - set(said))
             fp += len(set(said) - there)
@@ -143,12 +141,12 @@ def test_the_tpr_at_an_fpr_is_that_of_counting_at_every_score(
     # One claim of an ID and frame: no method has more hits than landmarks in view.
     assert (group.tpr_at("SMI", "paper", 1) >= group.tpr_at("SMI, one claim", "paper", 1)).all()
     lines = prediction.reading_lines(prediction.grouped(worlds, jobs, readings=True))
-    assert [line["reading"] for line in lines[2:]] == [*readings.READINGS]
+    assert [line["reading"] for line in lines[2:]] == [*parts.READINGS]
 
 
 def test_readings_are_the_formulas_as_printed_and_one_choice_each() -> None:
     paper = preset("paper")
-    printed, *others = (with_table(paper, t, "") for t in readings.READINGS.values())
+    printed, *others = (with_table(paper, t, "") for t in parts.READINGS.values())
     assert printed.continuity.hit_power == printed.features.distance_power == 1
     assert printed.features.least_ring == printed.continuity.least_in_view == 0
     for other in others:
@@ -169,20 +167,18 @@ def test_a_faultless_disc_is_declared_in_the_frame_that_the_manual_tells() -> No
 
 
 def test_one_claim_is_the_surest_of_its_id() -> None:
-    def claim(landmark: int, score: float) -> Estimate:
-        return Estimate(
-            "m", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, np.zeros(5), landmark, score, score >= 0.5
-        )
-
-    kept = parts.once([claim(1, 0.6), claim(1, 0.9), claim(3, 0.4), claim(3, 0.2)])
+    place, belief = (0.0,) * 5, (1.0, np.zeros(5))
+    claims = [
+        Estimate("m", 0, *place, *belief, landmark, score, score >= 0.5)
+        for landmark, score in ((1, 0.6), (1, 0.9), (3, 0.4), (3, 0.2))
+    ]
+    kept = parts.once(claims)
     assert [(e.score, e.declared) for e in kept] == [(0, 0), (0.9, 1), (0.4, 0), (0, 0)]
 
 
 def test_an_interval_of_worlds_covers_the_mean() -> None:
-    rng = np.random.default_rng(3)
-    covered = [
-        low <= 0 <= high for low, high in map(prediction.interval_of, rng.normal(size=(200, 22)))
-    ]
+    drawn = np.random.default_rng(3).normal(size=(200, 22))
+    covered = [low <= 0 <= high for low, high in map(prediction.interval_of, drawn)]
     assert 0.88 <= np.mean(covered) <= 0.98
 
 
@@ -191,10 +187,7 @@ def test_a_world_of_the_search_is_possible() -> None:
     first = search.drawn(np.random.default_rng(1))
     other = search.drawn(np.random.default_rng(2), like=first)
     for drawn in (first, other):
-        pan = np.array([p.pan_deg for p in poses(drawn.scene(0))])
-        for item in drawn.scene(0).landmarks:
-            seen = int((np.abs(item.azimuth_deg - pan) < 14.4).sum())
-            assert abs(seen - IN_VIEW[item.id]) <= 16
+        check_seen_as_often_as_published(drawn)
     same = [n for n in world.NAMES if first.values[n] == other.values[n]]
     assert "ring_db" in same
     assert "azimuth_deg_1" not in same

@@ -39,9 +39,8 @@ def test_rows_whose_digest_no_longer_holds_are_marked(of: str) -> None:
     # As if one of them had just been made: after a change of results none is up to date.
     held = now() | read(max(depending, key=page_rows))["digest"]
     before, after = page(held), page(held | {of: "another"})
-    rows = sum(
-        page_rows(name) for name in depending if read(name)["digest"].items() <= held.items()
-    )
+    up_to_date = [name for name in depending if read(name)["digest"].items() <= held.items()]
+    rows = sum(map(page_rows, up_to_date))
     assert rows
     assert after.count("| † ") == before.count("| † ") + rows
 
@@ -59,15 +58,12 @@ def test_the_readme_is_filled_from_the_records() -> None:
 
 def test_the_kinds_in_the_readme_have_the_lowest_tpr_and_the_highest_fpr() -> None:
     text = README.read_text(encoding="utf-8")
-    shown = {
-        kind: found for kind in KINDS if (found := re.search(rf"\| († )?{KINDS[kind]} \|", text))
-    }
-    lines = read("scenes_fresh")["table"][0]["csv"].splitlines()
+    shown = [kind for kind in KINDS if re.search(rf"\| († )?{KINDS[kind]} \|", text)]
     rates = {}
-    for line in lines:
+    for line in read("scenes_fresh")["table"][0]["csv"].splitlines():
         if kind := re.match("`(.*)`", line):
-            _, _, default = line.split(",")[:3]
-            rates[kind[1]] = [float(rate) for rate in re.findall(r"([\d.]+) \(", default)]
+            of_default = re.findall(r"([\d.]+) \(", line.split(",")[2])
+            rates[kind[1]] = [float(rate) for rate in of_default]
     pairs = [pair for pair in rates.values() if len(pair) == 2]
     lowest, highest = min(tpr for tpr, _ in pairs), max(pair[-1] for pair in rates.values())
     assert 1 <= len(shown) <= 2

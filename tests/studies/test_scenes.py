@@ -24,16 +24,14 @@ from tests.support.simulated import METHODS, PRESETS, Job, recognise
 pytestmark = pytest.mark.slow
 
 # Another radius than the built-in set's, so that the set has to be handed on.
+SMALL = replace(load_landmarks("basin"), name="small", radius_m=0.12)
+PLACES = ((1, 1.6, -5.0, 30.0), (2, 2.1, 0.0, 350.0), (4, 1.7, 6.0, 250.0))
 SCENE = Scene(
     name="small",
     frames=24,
-    landmark_set=replace(load_landmarks("basin"), name="small", radius_m=0.12),
+    landmark_set=SMALL,
     motion=MotionSection(pan_min_deg=-3, pan_max_deg=3, pan_start_deg=-3, pan_deg_s=2),
-    landmarks=(
-        PlacedLandmark(1, ground_m=1.6, azimuth_deg=-5.0, orientation_deg=30.0),
-        PlacedLandmark(2, ground_m=2.1, azimuth_deg=0.0, orientation_deg=350.0),
-        PlacedLandmark(4, ground_m=1.7, azimuth_deg=6.0, orientation_deg=250.0),
-    ),
+    landmarks=tuple(PlacedLandmark(*place) for place in PLACES),
     objects=(PlacedObject("blank", ground_m=2.2, azimuth_deg=8.0),),
 )
 
@@ -55,22 +53,14 @@ def test_harness_is_what_the_commands_do(tmp_path: Path) -> None:
         if r["landmark"] == "total"
     }
     [row] = scenes.scored_rows([scenes.Recording(SCENE.name, SCENE.seed, in_memory)])
-    counted = {
-        (protocol, METHODS[name]): (c.tp, c.tn, c.fp, c.fn)
-        for (protocol, name), c in row.counts.items()
-    }
+    counted = {(how, METHODS[name]): count[:4] for (how, name), count in row.counts.items()}
     assert {key: counted[key] for key in expected} == expected
     assert len(counted) == len(expected) + 2  # the rival, under both protocols
     assert expected["strict", "framework:default"][0] > 20
 
 
 @pytest.mark.parametrize("more", [["no_landmark", "tiny_discs"], ["--ours"]])
-def test_the_command_tells_its_tables(
-    more: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_command_tells_its_tables(more: list[str], tmp_path, monkeypatch, capsys) -> None:
     """In one process; so few frames that much is 0/0."""
     monkeypatch.setattr(scenes, "in_processes", lambda work, items: list(map(work, items)))
     few = ["--seeds", "2000", "--frames", "4", "--out", str(tmp_path / "out")]

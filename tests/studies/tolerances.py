@@ -31,13 +31,11 @@ def rates(log: str, what: str, factor: float, frames: tuple[int, int | None] = (
     """TPR / FPR of a sample log whose statement is wrong by a factor."""
     discs, by = load_landmarks("basin"), {name: 1.0 for name, _ in WRONG} | {what: factor}
     ids = zip(discs.ids, discs.sectors, strict=True)
-    stated = {
-        "name": "stated",
-        "radius_m": discs.radius_m * by["radius"],
-        "ring": [discs.ring[0] * by["inner edge of the ring"], discs.ring[1]],
-        "symbol": [discs.symbol[0], discs.symbol[1] * by["outer edge of the symbol"]],
-        "landmark": [{"id": landmark, "sectors": [*sectors]} for landmark, sectors in ids],
-    }
+    ring = [discs.ring[0] * by["inner edge of the ring"], discs.ring[1]]
+    symbol = [discs.symbol[0], discs.symbol[1] * by["outer edge of the symbol"]]
+    stated = {"name": "stated", "radius_m": discs.radius_m * by["radius"]}
+    stated |= {"ring": ring, "symbol": symbol}
+    stated["landmark"] = [{"id": landmark, "sectors": [*sectors]} for landmark, sectors in ids]
     sonar = tomllib.loads((SAMPLES / log / "sonar.toml").read_text(encoding="utf-8"))["sonar"]
     height = {"height_m": sonar["height_m"] * by["height"]}
     with tempfile.TemporaryDirectory() as folder:
@@ -54,13 +52,11 @@ def main() -> None:
     options("tolerances", __doc__).parse_args()
     rows = [(what, factor) for what, factors in WRONG for factor in factors]
     cells = {log: in_processes(partial(_of_row, log), rows) for log in LOGS}
-    show(
-        "TPR / FPR strict, by the factor of what is stated",
-        [
-            {"stated": what, "factor": factor} | {log: cells[log][n] for log in LOGS}
-            for n, (what, factor) in enumerate(rows)
-        ],
-    )
+    lines = [
+        {"stated": what, "factor": factor} | {log: cells[log][n] for log in LOGS}
+        for n, (what, factor) in enumerate(rows)
+    ]
+    show("TPR / FPR strict, by the factor of what is stated", lines)
 
 
 def _of_row(log: str, row: tuple[str, float]) -> str:

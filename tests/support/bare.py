@@ -3,42 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import (
-    FadingSection,
-    FloorSection,
-    MotionSection,
-    NoiseSection,
-    PictureSection,
-    Scene,
-    SonarSection,
-)
+from sonarrec.simulation.scene import Scene
+
+
+def changed(scene: Scene, **changes: Any) -> Scene:
+    """The scene with other values; a dictionary changes some of a section's."""
+    sections = {name for name, value in changes.items() if isinstance(value, dict)}
+    changes |= {name: replace(getattr(scene, name), **changes[name]) for name in sections}
+    return replace(scene, **changes)
+
 
 # A still sonar over an even floor, without faults. speckle_s far below the frame time gives every
 # frame speckle of its own, so that a mean over frames tends to the expected power.
-BARE = Scene(
+_LEAKS = dict.fromkeys(("side_lobe_db", "stray_db", "cross_talk_db"), -200)
+BARE = changed(
+    Scene(),
     frames=1,
-    sonar=SonarSection(
-        side_lobe_db=-200,
-        stray_db=-200,
-        cross_talk_db=-200,
-        vertical_beam_deg=1000,
-        beam_width_deg=0.3,
-    ),
-    motion=MotionSection(pan_min_deg=0, pan_max_deg=0, pan_start_deg=0, pan_deg_s=0),
-    floor=FloorSection(texture_db=0, angle_exponent=0, speckle_s=1e9),
-    fading=FadingSection(
-        object_db=0, patch_db=0, specular_db=0, frame_probability=0, ghost_db=-200
-    ),
-    noise=NoiseSection(snr_db=80, smear=0, group_gain_db=0, beam_gain_db=0, hot_beams=0),
-    picture=PictureSection(black_db=-50, dynamic_range_db=80),
+    sonar=_LEAKS | {"vertical_beam_deg": 1000, "beam_width_deg": 0.3},
+    motion=dict.fromkeys(("pan_min_deg", "pan_max_deg", "pan_start_deg", "pan_deg_s"), 0),
+    floor={"texture_db": 0, "angle_exponent": 0, "speckle_s": 1e9},
+    fading=dict.fromkeys(("object_db", "patch_db", "specular_db", "frame_probability"), 0)
+    | {"ghost_db": -200},
+    noise={"snr_db": 80}
+    | dict.fromkeys(("smear", "group_gain_db", "beam_gain_db", "hot_beams"), 0),
+    picture={"black_db": -50, "dynamic_range_db": 80},
 )
-POLAR = replace(BARE, sonar=replace(BARE.sonar, layout="polar"))
+POLAR = changed(BARE, sonar={"layout": "polar"})
 BIN_M = 2.5 / 512
 RANGE_M = 1.25 + (np.arange(512) + 0.5) * BIN_M  # of their samples
+
+
+def looking(scene: Scene, pan_deg: float) -> Scene:
+    """The scene, seen from a still sonar that is turned so far to the right."""
+    return changed(
+        scene, motion=dict.fromkeys(("pan_min_deg", "pan_max_deg", "pan_start_deg"), pan_deg)
+    )
 
 
 def power(image: np.ndarray, scene: Scene) -> np.ndarray:
@@ -48,12 +52,11 @@ def power(image: np.ndarray, scene: Scene) -> np.ndarray:
 
 
 def mean_power(scene: Scene, frames: int) -> np.ndarray:
-    scene = replace(scene, frames=frames, floor=replace(scene.floor, speckle_s=1e-3))
+    scene = changed(scene, frames=frames, floor={"speckle_s": 1e-3})
     return np.asarray(np.mean([power(f.image, scene) for f in render(scene)], axis=0))
 
 
 def even_power(scene: Scene) -> np.ndarray:
     """The same of one frame of a world without speckle."""
-    scene = replace(scene, frames=1, floor=replace(scene.floor, coherence=0.0))
-    (frame,) = render(scene)
+    (frame,) = render(changed(scene, frames=1, floor={"coherence": 0.0}))
     return power(frame.image, scene)

@@ -19,6 +19,8 @@ RING = (0.80, 1.00)
 SYMBOL = (0.00, 0.62)
 SECTORS = {1: (1, 0, 0, 0), 2: (1, 0, 1, 0), 3: (1, 1, 0, 0), 4: (1, 1, 1, 0)}
 FINE = 3  # samples per pixel and axis
+Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Brightness at places on a disc, in radii to the right and up."""
 
 
 def make_fan(
@@ -30,22 +32,14 @@ def make_fan(
     height_m: float | None = 0.68,
 ) -> Fan:
     """The fan of an image just wide enough for its field of view."""
-    sonar = Sonar(
-        layout="fan",
-        range_min_m=range_min_m,
-        range_max_m=range_max_m,
-        field_of_view_deg=field_of_view_deg,
-        tilt_deg=tilt_deg,
-        height_m=height_m,
-    )
+    window = {"range_min_m": range_min_m, "range_max_m": range_max_m, "height_m": height_m}
+    sonar = Sonar("fan", field_of_view_deg=field_of_view_deg, tilt_deg=tilt_deg, **window)
     half = range_max_m * math.sin(math.radians(field_of_view_deg / 2))
     columns = 2 * math.ceil(half / ((range_max_m - range_min_m) / rows)) + 1
     return fan_for_image(sonar.complete("test"), rows, columns)
 
 
-def disc_pattern(
-    sectors: Sequence[int], turn_rad: float = 0.0
-) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def disc_pattern(sectors: Sequence[int], turn_rad: float = 0.0) -> Pattern:
     """Brightness 0 or 1 over the unit disc (x right, y up), first sector at `turn_rad`."""
 
     def pattern(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -72,10 +66,7 @@ def _pixels(fine: np.ndarray) -> np.ndarray:
 
 
 def draw_ellipse_disc(
-    shape: tuple[int, int],
-    centre: tuple[float, float],
-    axes: tuple[float, float],
-    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    shape: tuple[int, int], centre: tuple[float, float], axes: tuple[float, float], pattern: Pattern
 ) -> np.ndarray:
     """(rows, columns) brightness 0 to 1 of a disc squeezed to semi-axes (across, along) pixels."""
     row, column = _fine_grid(*shape)
@@ -83,11 +74,7 @@ def draw_ellipse_disc(
 
 
 def draw_on_floor(
-    fan: Fan,
-    range_m: float,
-    bearing_deg: float,
-    radius_m: float,
-    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    fan: Fan, range_m: float, bearing_deg: float, radius_m: float, pattern: Pattern
 ) -> tuple[np.ndarray, np.ndarray]:
     """A disc on a flat floor as a fan image sees it.
 
@@ -115,9 +102,8 @@ def _near_disc(
         return seen, np.s_[:0, :0], np.zeros((0, 0)), np.zeros((0, 0))
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     row, column = _fine_grid(*row[box].shape)
-    _, _, x, y = _on_disc(
-        fan, row + rows.min(), column + columns.min(), range_m, bearing_deg, radius_m
-    )
+    pixels = row + rows.min(), column + columns.min()
+    _, _, x, y = _on_disc(fan, *pixels, range_m, bearing_deg, radius_m)
     return seen, box, x, y
 
 
@@ -173,7 +159,7 @@ def speckled_disc(
     range_m: float,
     bearing_deg: float,
     radius_m: float,
-    pattern: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    pattern: Pattern,
 ) -> np.ndarray:
     """uint8 picture of a disc on its dark plate, with new speckle each time."""
     disc, seen = draw_on_floor(fan, range_m, bearing_deg, radius_m, pattern)

@@ -75,9 +75,8 @@ def recognise(job: Job, frames: Iterable[SimulatedFrame] | None = None) -> None:
     shutil.rmtree(job.folder, ignore_errors=True)
     recogniser = SideBySide(job.configs, fan, landmarks)
     rivals = [HoughRival(fan, landmarks, *named) for named in job.rivals.items()]
-    source = (scene.name, 0, "")
-    methods = recogniser.methods
-    run = run_table(job.configs, methods, scene_sonar(scene), fan, landmarks, source)
+    about = scene_sonar(scene), fan, landmarks, (scene.name, 0, "")
+    run = run_table(job.configs, recogniser.methods, *about)
     truth: list[list[object]] = []
     waiting = deque[list[Estimate]]()
     with ResultsWriter(job.folder, landmarks, run) as writer:
@@ -121,8 +120,7 @@ class HoughRival:
     """The plain Hough loop with its votes, one frame at a time."""
 
     def __init__(self, fan: Fan, landmarks: LandmarkSet, method: str, settings: Settings) -> None:
-        self._fan, self._method = fan, method
-        self._ids = landmarks.ids
+        self._fan, self._method, self._ids = fan, method, landmarks.ids
         self._loop = HoughSmi(fan, landmarks, settings)
         self._tracks = MajorityTracks(self._loop.settings, self._loop.radius)
 
@@ -130,21 +128,8 @@ class HoughRival:
         """It has no probabilities, and tells no orientation."""
         found = []
         for track, sight, winner, score, claim in self._tracks.step(self._loop(image)):
-            range_m, bearing_deg = polar_from_pixel(self._fan, sight.x, sight.y)
-            found.append(
-                Estimate(
-                    method=self._method,
-                    object=track,
-                    x_px=sight.x,
-                    y_px=sight.y,
-                    range_m=float(range_m),
-                    bearing_deg=float(bearing_deg),
-                    orientation_deg=np.nan,
-                    existence=np.nan,
-                    probabilities=np.full(len(self._ids) + 1, np.nan),
-                    landmark=self._ids[winner],
-                    score=score,
-                    declared=claim,
-                )
-            )
+            polar = map(float, polar_from_pixel(self._fan, sight.x, sight.y))
+            place = sight.x, sight.y, *polar, np.nan, np.nan
+            said = np.full(len(self._ids) + 1, np.nan), self._ids[winner], score, claim
+            found.append(Estimate(self._method, track, *place, *said))
         return found

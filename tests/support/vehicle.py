@@ -9,14 +9,13 @@ import numpy as np
 
 from sonarrec.arrays import FloatArray
 from sonarrec.simulation.motion import Pose, ar1
-from sonarrec.simulation.scene import PlacedLandmark, PlacedObject, Scene
+from sonarrec.simulation.scene import Scene
 from tests.studies.learning.random_scenes import random_scene
 
 SPEED_M_S = 0.35
 RATE_HZ = 4.0
 CENTRE = (0.0, 8.0)
 """Of every course: the floor is drawn about the origin, and reaches from near it to far beyond."""
-LAPS = 3
 RANGE_BINS = 256
 KINDS = ("plain", "fading", "low_contrast", "ring_widths")
 """Of random scene, one after the other: whose picture and landmarks the runs have."""
@@ -43,54 +42,42 @@ class VehicleRun:
         return [Pose(*row) for row in values.tolist()]
 
 
-def vehicle_run(seed: int, laps: int = LAPS, landmarks: int = 10) -> VehicleRun:
-    """A course in the shape of a racetrack, driven `laps` times, with landmarks that lie in view.
-
-    Of each ID there are two; of one of them the two lie near each other.
-    """
+def vehicle_run(seed: int) -> VehicleRun:
+    """A course in the shape of a racetrack, past landmarks and other things."""
     rng = np.random.default_rng([seed, 7])
-    path = _course(rng, laps)
+    path = _course(rng)
     time = np.arange(len(path)) / RATE_HZ
     drawn = random_scene(seed, KINDS[seed % len(KINDS)])
     off = round(rng.uniform(-HEIGHT_ERROR_M, HEIGHT_ERROR_M), 4)
     sonar = replace(drawn.sonar, height_error_m=off, range_bins=RANGE_BINS)
-    things = _things(rng, drawn, path, landmarks)
-    scene = replace(
-        drawn,
-        name=f"vehicle_{seed}",
-        frames=len(path),
-        rate_hz=RATE_HZ,
-        sonar=sonar,
-        landmarks=tuple(t for t in things if isinstance(t, PlacedLandmark)),
-        objects=tuple(t for t in things if isinstance(t, PlacedObject)),
-    )
+    landmarks = tuple(replace(item, **_ahead(rng, path)) for item in drawn.landmarks * 3)
+    objects = tuple(replace(o, **_ahead(rng, path)) for o in drawn.objects if o.kind != "wall")
+    scene = replace(drawn, frames=len(path), rate_hz=RATE_HZ, sonar=sonar)
+    scene = replace(scene, landmarks=landmarks, objects=objects)
     bin_m = (sonar.range_max_m - sonar.range_min_m) / sonar.range_bins
     near, far = 3.0, 14.0
+    bins = round((far - near) / bin_m)
     ground = replace(
         scene,
-        sonar=replace(
-            sonar, range_min_m=near, range_max_m=far, range_bins=round((far - near) / bin_m)
-        ),
+        sonar=replace(sonar, range_min_m=near, range_max_m=far, range_bins=bins),
         motion=replace(scene.motion, pan_min_deg=-55.0, pan_max_deg=55.0, pan_start_deg=0.0),
     )
     heave = rng.uniform(0.005, 0.015) * np.sin(2 * np.pi * time / rng.uniform(5, 9))
     return VehicleRun(scene, ground, path, sonar.height_m + heave)
 
 
-def _course(rng: np.random.Generator, laps: int) -> FloatArray:
+def _course(rng: np.random.Generator) -> FloatArray:
     """(N, 3) yaw (deg), x, y: two straights and two half circles, clockwise, and a wander."""
     straight, radius = rng.uniform(0.8, 1.4), rng.uniform(1.2, 1.4)
     lap = 2 * straight + 2 * math.pi * radius
-    along = np.arange(0, laps * lap, SPEED_M_S / RATE_HZ)
-    at = along % lap
+    at = np.arange(0, lap, SPEED_M_S / RATE_HZ)
     turn = math.pi * radius
     yaw = np.select(
         [at < straight, at < straight + turn, at < 2 * straight + turn],
         [0.0 * at, (at - straight) / radius, np.pi + 0.0 * at],
         np.pi + (at - 2 * straight - turn) / radius,
     )
-    yaw = yaw + 2 * np.pi * np.floor(along / lap)
-    wander = np.radians(1.0) * ar1(rng, len(along), 1, 1 / RATE_HZ, 4.0)[:, 0]
+    wander = np.radians(1.0) * ar1(rng, len(at), 1, 1 / RATE_HZ, 4.0)[:, 0]
     step = SPEED_M_S / RATE_HZ
     x = np.cumsum(np.sin(yaw + wander)) * step
     y = np.cumsum(np.cos(yaw + wander)) * step
@@ -99,43 +86,11 @@ def _course(rng: np.random.Generator, laps: int) -> FloatArray:
     return np.column_stack([np.degrees(yaw + wander), x, y])
 
 
-def _things(
-    rng: np.random.Generator, drawn: Scene, path: FloatArray, landmarks: int
-) -> list[PlacedLandmark | PlacedObject]:
-    """Landmarks and other discs ahead of places of the path, none on another.
-
-    They look like those drawn for the scene. The first three landmarks lie ahead of where the
-    vehicle sets out; the last has the ID of the first, and lies beside it.
-    """
-    apart = 3 * drawn.landmark_set.radius_m
-    taken: list[tuple[float, float]] = []
-
-    def free(beside: tuple[float, float] | None = None) -> tuple[float, float]:
-        while True:
-            # The first three lie ahead of where the vehicle sets out.
-            begins = len(taken) < 3
-            (yaw, x, y), spread = path[0 if begins else rng.integers(len(path))], 8.0
-            away = rng.uniform(1.6, 3.2 if begins else 2.8)
-            if beside is not None:
-                (x, y), away, spread = beside, rng.uniform(apart, apart + 0.3), 180.0
-            angle = math.radians(yaw + rng.uniform(-spread, spread))
-            place = x + away * math.sin(angle), y + away * math.cos(angle)
-            if all(math.dist(place, other) > apart for other in taken):
-                taken.append(place)
-                return place
-
-    def polar(place: tuple[float, float]) -> dict[str, float]:
-        return {
-            "ground_m": round(math.hypot(*place), 4),
-            "azimuth_deg": round(math.degrees(math.atan2(*place)), 4),
-            "orientation_deg": round(rng.uniform(0, 360), 1),
-        }
-
-    ids = [*np.resize(drawn.landmark_set.ids, landmarks - 1), drawn.landmark_set.ids[0]]
-    found: list[PlacedLandmark | PlacedObject] = []
-    for n, number in enumerate(ids):
-        like = drawn.landmarks[n % len(drawn.landmarks)]
-        place = free(taken[0] if n == landmarks - 1 else None)
-        found.append(replace(like, id=int(number), **polar(place)))
-    discs = [o for o in drawn.objects if o.kind in ("blank", "filled", "spokes", "half_ring")]
-    return found + [replace(o, **polar(free())) for o in discs]
+def _ahead(rng: np.random.Generator, path: FloatArray) -> dict[str, float]:
+    """A place in view from somewhere on the path, from the floor's origin, and an orientation."""
+    yaw, x, y = path[rng.integers(len(path))]
+    angle, away = math.radians(yaw + rng.uniform(-8, 8)), rng.uniform(1.6, 2.8)
+    x, y = x + away * math.sin(angle), y + away * math.cos(angle)
+    azimuth_deg = math.degrees(math.atan2(x, y))
+    turn = rng.uniform(0, 360)
+    return {"ground_m": math.hypot(x, y), "azimuth_deg": azimuth_deg, "orientation_deg": turn}

@@ -109,6 +109,8 @@ class PoseFitter:
         self, image: FloatImage, positions: FloatArray, others: Sequence[Sequence[FloatArray]]
     ) -> list[list[Fit]]:
         """Some of the best fits at each position, as of `search`."""
+        if not len(positions):
+            return []
         # All are refined together: a step costs little more for many poses than for one.
         starts = [
             self._starts(image, place, poses)

@@ -113,9 +113,7 @@ class Plates:
         tracks["age"][rows] += 1
         waiting = sorted((tracks["searched"][row], row) for row in rows if self._wanting(row))
         new = bool(waiting) and waiting[0][0] < FIRST
-        searched = [row for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]]
-        if searched:
-            self._search(image, searched)
+        self._search(image, [row for _, row in waiting[: FIRST_SEARCHES if new else SEARCHES]])
         seen = rows[tracks["seen"][rows]]
         for row in seen:
             tracks["position"][row] = tracks["fit"][row].pose[:2]

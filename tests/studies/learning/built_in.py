@@ -21,13 +21,17 @@ from sonarrec.learning.samples import describe, label
 from sonarrec.recogniser.stage3.model_file import BUILT_IN
 from sonarrec.recogniser.stage3.reader import LAST_LAYER, THETA, WEIGHT_STEPS, Weights
 from sonarrec.simulation.render import render
-from sonarrec.simulation.scene import scene_sonar
 from sonarrec.simulation.truth import Truth
 from sonarrec.sonar.frame import Frame
-from sonarrec.sonar.geometry import PolarToFan, plane_from_polar
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples, joined_examples
+from sonarrec.sonar.geometry import plane_from_polar
 from tests.studies.learning.other_worlds import LEARNED_WORLDS
-from tests.studies.learning.random_pictures import draw
+from tests.studies.learning.random_pictures import (
+    MOST_IDS,
+    UNKNOWN,
+    Examples,
+    draw,
+    joined_examples,
+)
 from tests.studies.learning.random_scenes import KINDS_OF_SCENE, STRETCH_KINDS, random_scene
 from tests.support.simulated import in_processes
 
@@ -58,36 +62,24 @@ def examples_of(recording: tuple[str, int]) -> Examples:
     scene = random_scene(seed, kind, wide=True, frames=FRAMES)
 
     def frames() -> Iterator[Frame]:  # as a reader would give them
-        polar = None
         for frame in render(scene):
             truth.extend((frame.index, landmark) for landmark in frame.truth)
-            if scene.sonar.layout == "polar" and polar is None:
-                polar = PolarToFan(scene_sonar(scene).complete(scene.name), *frame.image.shape)
-            yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan, polar=polar)
+            yield Frame(frame.index, frame.timestamp_ns, frame.image, frame.fan)
 
     tracks = describe(frames(), preset("default"), scene.landmark_set, every=EVERY)
     polar = np.array([(t.range_m, t.bearing_deg) for _, t in truth]).reshape(-1, 2)
-    found = label(
-        tracks,
-        np.array([row for row, _ in truth], np.int64),
-        np.array([tracks.landmarks.ids.index(t.landmark) for _, t in truth], np.int64),
-        plane_from_polar(*polar.T),
-    )
+    rows = np.array([row for row, _ in truth], np.int64)
+    index = np.array([tracks.landmarks.ids.index(t.landmark) for _, t in truth], np.int64)
+    found = label(tracks, rows, index, plane_from_polar(*polar.T))
     n, ids = len(found.label), len(scene.landmark_set.ids)
     codes = np.zeros((n, MOST_IDS, len(THETA)), np.uint8)
     codes[:, :ids] = scene.landmark_set.codes(THETA)
     _, of_track, frames_of = np.unique(found.track, return_inverse=True, return_counts=True)
-    return Examples(
-        found.pictures.brightness.astype(np.float16),
-        found.pictures.count.astype(np.float16),
-        found.pictures.existence.astype(np.float32),
-        found.pictures.smear.astype(np.float32),
-        codes,
-        np.full(n, ids),
-        np.where(found.label == ids, MOST_IDS, found.label),
-        np.full((n, len(THETA)), UNKNOWN, np.int8),
-        np.minimum(1, ALIKE_FRAMES / frames_of[of_track]),
-    )
+    p, lit = found.pictures, np.full((n, len(THETA)), UNKNOWN, np.int8)
+    seen = p.brightness.astype(np.float16), p.count.astype(np.float16)
+    about = p.existence.astype(np.float32), p.smear.astype(np.float32), codes, np.full(n, ids)
+    shown = np.where(found.label == ids, MOST_IDS, found.label)
+    return Examples(*seen, *about, shown, lit, np.minimum(1, ALIKE_FRAMES / frames_of[of_track]))
 
 
 def drawn_examples(seed: int) -> Examples:

@@ -21,7 +21,7 @@ from sonarrec.recogniser.stage3.reader import (
     seen_directions,
 )
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
+from tests.studies.learning.random_pictures import MOST_IDS, UNKNOWN, Examples, joined_examples
 
 CHANNELS, HIDDEN = 32, 32
 STEPS, BATCH, MOST_RATE = 14_000, 256, 4e-3
@@ -144,12 +144,8 @@ def _batches(tracks: Examples, drawn: Examples, seed: int, steps: int) -> Iterat
             np.searchsorted(p, p[-1] * rng.random(n))
             for p, n in zip(likely, (split, BATCH - split), strict=True)
         ]
-        batch = Examples(
-            *(
-                np.concatenate([a[chosen[0]], b[chosen[1]]])
-                for a, b in zip(tracks, drawn, strict=True)
-            )
-        )
+        taken = [Examples(*(c[k] for c in p)) for p, k in zip(parts, chosen, strict=True)]
+        batch = joined_examples(taken)
         # A drawn picture exists as surely as a track that shows the like.
         likely_disc = (batch.label[split:] < MOST_IDS) | (rng.random(BATCH - split) < 0.5)
         n = BATCH - split
@@ -164,15 +160,9 @@ def _batches(tracks: Examples, drawn: Examples, seed: int, steps: int) -> Iterat
         label[out] = MOST_IDS
         # Sets of fewer IDs.
         known &= (rng.random(known.shape) > 0.15) | (np.arange(MOST_IDS) == label[:, None])
-        yield Batch(
-            direction_inputs(pictures).astype(np.float32),
-            object_inputs(pictures).astype(np.float32),
-            seen_directions(pictures),
-            batch.codes.astype(np.float32),
-            known,
-            label,
-            batch.lit,
-        )
+        inputs = (of(pictures).astype(np.float32) for of in (direction_inputs, object_inputs))
+        codes = batch.codes.astype(np.float32)
+        yield Batch(*inputs, seen_directions(pictures), codes, known, label, batch.lit)
 
 
 def _mirrored(batch: Examples, rng: Generator) -> Examples:

@@ -11,16 +11,18 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import cv2
 import numpy as np
 
+from sonarrec import landmarks
 from sonarrec.advice.landmarks import PLATES_NEAR, PLATES_NEAR_SEEN
 from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.config import preset
 from sonarrec.drawing.landmarks import distances
 from sonarrec.errors import SonarrecError
-from sonarrec.landmarks import MOST_IDS, DrawnSet, landmarks_from_table
+from sonarrec.landmarks import DrawnSet, landmarks_from_table, load_landmarks
 from sonarrec.recogniser.drawn.model import MODEL, of_ids, of_one
 from sonarrec.recogniser.drawn.pose import Fit, PoseFitter
 from sonarrec.recogniser.drawn.stage2 import smooth
@@ -30,7 +32,6 @@ from sonarrec.simulation.scene import HeldPlate, PlateScene, scene_sonar
 from sonarrec.simulation.truth import Truth
 from sonarrec.sonar.frame import Frame
 from sonarrec.sonar.geometry import PolarToFan, plane_from_polar
-from sonarrec.tables.toml import read_toml
 from tests.support.simulated import in_processes
 
 SEEDS, FRAMES = range(1000, 1090), 24
@@ -75,28 +76,22 @@ def set_of(drawings: Sequence[BoolArray], mirrored: str = "either") -> DrawnSet:
     """A set of plates SIDE_M wide with IDs from 0."""
     rows = [["".join("01"[int(c)] for c in line) for line in cells] for cells in drawings]
     landmark = [{"id": i, "cells": cells} for i, cells in enumerate(rows)]
-    table = {"name": "s", "kind": "drawn", "size_m": SIDE_M, "landmark": landmark}
-    made = landmarks_from_table({**table, "mirrored": mirrored}, "here")
+    table = {"name": "s", "kind": "drawn", "size_m": SIDE_M, "mirrored": mirrored}
+    made = landmarks_from_table({**table, "landmark": landmark}, "here")
     assert isinstance(made, DrawnSet)
     return made
 
 
 def _tag(rng: np.random.Generator) -> BoolArray:
-    family = _family()
-    return family[int(rng.integers(len(family)))]
+    return _family()[int(rng.integers(len(_family())))]
 
 
 @cache
 def _family() -> list[BoolArray]:
-    table = read_toml(Path(__file__).with_name("actag24h4.toml"))
-    words = table["codes"].split()
-    drawings: list[BoolArray] = []
-    for first in range(0, len(words), MOST_IDS):  # more than a set may have
-        part = {**table, "codes": " ".join(words[first : first + MOST_IDS])}
-        family = landmarks_from_table(part, "actag24h4")
-        assert isinstance(family, DrawnSet)
-        drawings += family.drawings()
-    return drawings
+    with patch.object(landmarks, "MOST_IDS", 3000):  # of a set that is looked for
+        family = load_landmarks(Path(__file__).with_name("actag24h4.toml"))
+    assert isinstance(family, DrawnSet)
+    return family.drawings()
 
 
 def _cells(rng: np.random.Generator) -> BoolArray:
@@ -134,45 +129,24 @@ def random_scene(
     """A recording of plates of the set and strangers, flat to tilted; least_db to 12 over
     what is round them."""
     rng = np.random.default_rng(seed)
-    known, strangers = sets or random_sets(rng)
+    u, (known, strangers) = rng.uniform, sets or random_sets(rng)
     plates = []
     for range_m, bearing_deg in PLACES:
-        kind = rng.random()
-        if kind < 0.15:
+        if (kind := rng.random()) < 0.15:
             continue
         chosen = known if kind < 0.7 else strangers
         hand = {"yes": True, "no": False, "either": bool(rng.integers(2))}[known.mirrored]
-        plates.append(
-            HeldPlate(
-                landmark=int(rng.choice(chosen.ids)),
-                range_m=range_m + rng.uniform(-0.08, 0.08),
-                bearing_deg=bearing_deg + rng.uniform(-3, 3),
-                turned_deg=rng.uniform(0, 360),
-                tilt_deg=rng.uniform(0, most_deg),
-                axis_deg=rng.uniform(-20, 20),
-                mirrored=hand,
-                bright_db=rng.uniform(least_db, 12),
-                dark_db=rng.uniform(-8, 0),
-                known=chosen is known,
-            )
-        )
-    return PlateScene(
-        landmark_set=known,
-        others=strangers,
-        plate=tuple(plates),
-        seed=seed,
-        frames=frames,
-        beams=192,
-        bins=320,
-        beam_width_deg=rng.uniform(0.4, 1.0),
-        pulse_m=rng.uniform(0.004, 0.02),
-        swing=rng.uniform(0, 0.6),
-        streaks=int(rng.integers(0, 5)),
-        light_db=rng.uniform(0, 4),
-        clutter=int(rng.integers(0, 5)),
-        floor_db=rng.uniform(8, 18),
-        blank_every=int(rng.choice([0, 7])),
-    )
+        number = int(rng.choice(chosen.ids))
+        place = {"range_m": range_m + u(-0.08, 0.08), "bearing_deg": bearing_deg + u(-3, 3)}
+        place |= {"turned_deg": u(0, 360), "tilt_deg": u(0, most_deg), "axis_deg": u(-20, 20)}
+        looks = {"mirrored": hand, "bright_db": u(least_db, 12), "dark_db": u(-8, 0)}
+        plates.append(HeldPlate(number, **place, **looks, known=chosen is known))
+    what = {"landmark_set": known, "others": strangers, "plate": tuple(plates)}
+    sonar = {"beams": 192, "bins": 320, "beam_width_deg": u(0.4, 1.0), "pulse_m": u(0.004, 0.02)}
+    water = {"swing": u(0, 0.6), "streaks": int(rng.integers(0, 5)), "light_db": u(0, 4)}
+    water |= {"clutter": int(rng.integers(0, 5)), "floor_db": u(8, 18)}
+    water |= {"blank_every": int(rng.choice([0, 7]))}
+    return PlateScene(**what, **sonar, **water, seed=seed, frames=frames)
 
 
 def stages_of(
@@ -195,13 +169,10 @@ def lessons_of_pictures(seed: int) -> list[Part]:
     stages, fitter, frames = stages_of(random_scene(seed, frames=LOOKED_AT[-1] + 1))
     fits: list[Fit] = []
     label: list[int] = []
-    for shot, frame in frames:
-        if shot.index not in LOOKED_AT:
-            continue
+    for shot, frame in (both for both in frames if both[0].index in LOOKED_AT):
         working = stages.working_image(frame)
-        image = smooth(working)
         places = stages.stage1(working).positions
-        for found in fitter.candidates(image, places, [[]] * len(places)) if len(places) else []:
+        for found in fitter.candidates(smooth(working), places, [[]] * len(places)):
             fits += found
             label += [not any(_fits(fitter, fit, true) for true in shot.truth) for fit in found]
     if not fits:

@@ -11,18 +11,47 @@ contrast, discs half under silt, black areas behind stones and tyres, letters an
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.random import Generator
 
-from sonarrec.arrays import BoolArray, FloatArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.landmarks import LandmarkSet, load_landmarks
 from sonarrec.recogniser.stage3.reader import THETA
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, ShapeSampler
-from tests.studies.learning.examples import MOST_IDS, UNKNOWN, Examples
+from tests.studies.learning.random_scenes import unlike_codes
+
+MOST_IDS = 12  # of a set, while learning
+UNKNOWN = -1
+
+
+class Examples(NamedTuple):
+    """n averaged shape matrices, as Pictures has them, with what they show.
+
+    brightness, count: (n, L, ANGLES). existence, smear: (n,). codes: (n, MOST_IDS, ANGLES) of each
+    one's set, zeros beyond its IDs. ids: (n,) how many these are. label: (n,) index of the ID,
+    MOST_IDS for none. lit: (n, ANGLES) whether the symbol is lit in a direction, UNKNOWN where that
+    is not known. weight: (n,) how often it is learned from, relative to the others.
+    """
+
+    brightness: FloatArray
+    count: FloatArray
+    existence: FloatArray
+    smear: FloatArray
+    codes: FloatArray
+    ids: IntArray
+    label: IntArray
+    lit: IntArray
+    weight: FloatArray
+
+
+def joined_examples(parts: Sequence[Examples]) -> Examples:
+    """Examples of several parts as one."""
+    return Examples(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
 
 SIZE, RADIUS = 48, 14.0  # of a picture and of the disc in it, in pixels
 CENTRE = (SIZE - 1) / 2
@@ -57,20 +86,9 @@ class _Place:
         self.distance = np.hypot(self.right, self.far)
         self.angle = np.arctan2(-self.right, self.far) % (2 * np.pi)
 
-    def lit(self, sectors: FloatArray, rotation: float) -> FloatArray:
-        """Where a code of equal sectors is 1."""
-        return _lit(sectors, self.angle - rotation)
-
     def along(self, angle: float) -> FloatArray:
         """The coordinate of each pixel in a direction."""
         return self.right * np.cos(angle) + self.far * np.sin(angle)
-
-
-@cache
-def _unlike_codes(size: int) -> list[tuple[int, ...]]:
-    """Every code of so many sectors, of those that are equal when turned only one."""
-    every = [tuple((n >> bit) & 1 for bit in range(size)) for n in range(1, 2**size - 1)]
-    return sorted({min(c[i:] + c[:i] for i in range(size)) for c in every})
 
 
 def random_set(rng: Generator) -> LandmarkSet:
@@ -81,7 +99,7 @@ def random_set(rng: Generator) -> LandmarkSet:
     symbol, ring = (0.0, 0.62), (0.80, 1.0)
     if u() < 0.5:
         symbol, ring = (u(0, 0.15), u(0.5, 0.7)), (u(0.74, 0.88), 1.0)
-    codes = _unlike_codes(int(rng.choice([3, 4, 5, 6, 8, 12], p=[0.1, 0.25, 0.15, 0.2, 0.2, 0.1])))
+    codes = unlike_codes(int(rng.choice([3, 4, 5, 6, 8, 12], p=[0.1, 0.25, 0.15, 0.2, 0.2, 0.1])))
     most = min(int(rng.integers(2, MOST_IDS + 1 if u() < 0.2 else 7)), len(codes))
     chosen = [codes[i] for i in rng.choice(len(codes), most, replace=False)]
     return LandmarkSet("random", 0.1, ring, symbol, tuple(range(1, most + 1)), tuple(chosen))
@@ -107,10 +125,8 @@ def _stranger(rng: Generator, known: FloatArray) -> FloatArray:
 
 def _field(rng: Generator, scale: float) -> FloatArray:
     """A random field of standard deviation 1. scale: of its patches, in disc radii."""
-    noise = rng.standard_normal((SIZE, SIZE), np.float32)
-    smooth = cv2.GaussianBlur(
-        noise, (0, 0), max(scale * RADIUS, 0.4), borderType=cv2.BORDER_REFLECT
-    )
+    noise, sigma = rng.standard_normal((SIZE, SIZE), np.float32), max(scale * RADIUS, 0.4)
+    smooth = cv2.GaussianBlur(noise, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
     return smooth / np.float32(max(smooth.std(), 1e-6))
 
 
@@ -130,11 +146,10 @@ class _Scene:
 
     def set(self, where: FloatArray, level_db: float, shines: bool = False) -> None:
         self.level[where] = level_db
-        if shines:
-            self.shines |= where
+        self.shines |= where & shines
 
     def disc(
-        self, landmarks: LandmarkSet, symbol: FloatArray, ring: FloatArray | bool = True
+        self, landmarks: LandmarkSet, symbol: FloatArray | bool, ring: FloatArray | bool = True
     ) -> None:
         """A plate with a ring and a symbol, where these are."""
         away, (inner, outer) = self.place.distance, landmarks.ring
@@ -148,19 +163,17 @@ class _Scene:
 
 
 def _letter(scene: _Scene, landmarks: LandmarkSet) -> None:
-    rng, place = scene.rng, scene.place
-    strokes = np.zeros((SIZE, SIZE), bool)
+    rng, strokes = scene.rng, np.zeros((SIZE, SIZE), bool)
     for _ in range(rng.integers(1, 4)):
         angle, off = rng.uniform(0, np.pi), rng.uniform(-0.4, 0.4)
-        strokes |= np.abs(place.along(angle) - off) < rng.uniform(0.07, 0.18)
+        strokes |= np.abs(scene.place.along(angle) - off) < rng.uniform(0.07, 0.18)
     scene.disc(landmarks, strokes, ring=bool(rng.uniform() < 0.8))
 
 
 def _half_ring(scene: _Scene, landmarks: LandmarkSet) -> None:
-    rng, place = scene.rng, scene.place
-    arc = (place.angle - rng.uniform(0, 2 * np.pi)) % (2 * np.pi) < rng.uniform(2, 4.6)
-    filled = rng.uniform() < 0.4
-    scene.disc(landmarks, arc & filled, ring=arc)
+    rng = scene.rng
+    arc = (scene.place.angle - rng.uniform(0, 2 * np.pi)) % (2 * np.pi) < rng.uniform(2, 4.6)
+    scene.disc(landmarks, arc & (rng.uniform() < 0.4), ring=arc)
 
 
 def _blobs(scene: _Scene, _: LandmarkSet) -> None:
@@ -168,9 +181,8 @@ def _blobs(scene: _Scene, _: LandmarkSet) -> None:
     for _ in range(rng.integers(1, 8)):
         right, far = rng.normal(0, 0.6, 2)
         square = (place.right - right) ** 2 + (place.far - far) ** 2
-        scene.level = np.maximum(
-            scene.level, rng.uniform(4, 16) - 4 * square / rng.uniform(0.02, 0.2)
-        )
+        blob = rng.uniform(4, 16) - 4 * square / rng.uniform(0.02, 0.2)
+        scene.level = np.maximum(scene.level, blob)
 
 
 def _edge(scene: _Scene, _: LandmarkSet) -> None:
@@ -247,11 +259,11 @@ def _twigs(scene: _Scene, _: LandmarkSet) -> None:
 
 
 def _blank(scene: _Scene, landmarks: LandmarkSet) -> None:
-    scene.disc(landmarks, np.zeros((SIZE, SIZE), bool))
+    scene.disc(landmarks, False)
 
 
 def _filled(scene: _Scene, landmarks: LandmarkSet) -> None:
-    scene.disc(landmarks, np.ones((SIZE, SIZE), bool))
+    scene.disc(landmarks, True)
 
 
 def _floor(scene: _Scene, landmarks: LandmarkSet) -> None:
@@ -338,17 +350,18 @@ def _draw(rng: Generator) -> Examples:
     landmarks, place = random_set(rng), _Place(rng)
     codes, scene = landmarks.codes(THETA), _Scene(rng, place)
     rotation, which, label = rng.uniform(0, 2 * np.pi), rng.uniform(), MOST_IDS
-    sectors: FloatArray | None = None  # of the symbol, if there is one
-    if which < STRANGERS:
-        sectors = _stranger(rng, codes)
-    elif which < STRANGERS + NOTHING:
+    lit = np.int8(UNKNOWN)
+    if STRANGERS <= which < STRANGERS + NOTHING:
         fakes, shares = zip(*FAKES, strict=True)
         fakes[rng.choice(len(fakes), p=shares)](scene, landmarks)
     else:
-        label = int(rng.integers(len(codes)))
-        sectors = np.asarray(landmarks.sectors[label])
-    if sectors is not None:
-        scene.disc(landmarks, place.lit(sectors, rotation))
+        if which < STRANGERS:
+            sectors = _stranger(rng, codes)
+        else:
+            label = int(rng.integers(len(codes)))
+            sectors = np.asarray(landmarks.sectors[label])
+        scene.disc(landmarks, _lit(sectors, place.angle - rotation))
+        lit = np.int8(_lit(sectors, THETA - rotation))
     _covered(scene)
     picture, frames, smear = _seen(scene, rng)
     radii = ShapeSampler(landmarks, (RADIUS, RADIUS)).radii
@@ -364,15 +377,8 @@ def _draw(rng: Generator) -> Examples:
             label = MOST_IDS
     known = np.zeros((1, MOST_IDS, ANGLES), np.uint8)
     known[0, : len(codes)] = codes
-    return Examples(
-        brightness[None].astype(np.float16),
-        count[None].astype(np.float16),
-        np.full(1, 0.5, np.float32),  # drawn while learning, see network.py
-        np.full(1, smear, np.float32),
-        known,
-        np.full(1, len(codes)),
-        np.full(1, label),
-        np.int8(UNKNOWN if sectors is None else _lit(sectors, THETA - rotation))
-        * np.ones((1, ANGLES), np.int8),
-        np.ones(1),
-    )
+    seen = brightness[None].astype(np.float16), count[None].astype(np.float16)
+    existence = np.full(1, 0.5, np.float32)  # drawn while learning, see network.py
+    of_set = known, np.full(1, len(codes))
+    shown = np.full(1, label), np.full((1, ANGLES), lit), np.ones(1)
+    return Examples(*seen, existence, np.full(1, smear, np.float32), *of_set, *shown)

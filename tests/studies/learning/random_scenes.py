@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,21 +30,11 @@ from sonarrec.simulation.scene import (
     check_scene,
     position_of,
 )
-from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, vehicle_motion
+from tests.studies.learning.other_worlds import OTHER_WORLDS, in_world, rounded, vehicle_motion
 
 KINDS_OF_SCENE = (
-    "plain",
-    "low_contrast",
-    "window_1_25",
-    "window_5",
-    "jitter",
-    "ring_widths",
-    "fading",
-    "occluded",
-    "near_miss",
-    "fast_pan",
-    "small_discs",
-    "no_landmark",
+    *("plain", "low_contrast", "window_1_25", "window_5", "jitter", "ring_widths", "fading"),
+    *("occluded", "near_miss", "fast_pan", "small_discs", "no_landmark"),
 )
 # In addition: discs of 0.06 m radius at a window of 2.5 m; everything hard at once; landmark sets,
 # windows and images unlike the basin's.
@@ -70,104 +61,67 @@ def _sonar(kind: str, rng: np.random.Generator) -> SonarSection:
         window = float(rng.choice([1.25, 2.5, 5.0, 10.0]))
         low, height, tilt = (1.25, 0.68, 20.0) if window < 5 else (1.5, 0.2 * window, 19.0)
         high = low + window
-    sonar = SonarSection(
-        range_min_m=low,
-        range_max_m=high,
-        range_bins=bins,
-        height_m=round(height * rng.uniform(0.9, 1.1), 3),
-        tilt_deg=round(tilt + rng.uniform(-2, 2), 2),
-        beam_width_deg=round(rng.uniform(0.32, 0.5), 3),
-        side_lobe_db=round(rng.uniform(-36, -26), 1),
-        stray_db=round(rng.uniform(-42, -29), 1),
-        cross_talk_db=round(rng.uniform(-42, -29), 1),
-        pulse_m=round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4),
-    )
+    r = rounded(rng)
+    window_m = {"range_min_m": low, "range_max_m": high, "range_bins": bins}
+    height_m = round(height * rng.uniform(0.9, 1.1), 3)
+    place = {"height_m": height_m, "tilt_deg": round(tilt + rng.uniform(-2, 2), 2)}
+    beams = {"beam_width_deg": r(0.32, 0.5, 3), "side_lobe_db": r(-36, -26, 1)}
+    beams |= {"stray_db": r(-42, -29, 1), "cross_talk_db": r(-42, -29, 1)}
+    pulse_m = round(rng.uniform(1.0, 2.2) * (high - low) / 512, 4)
     if kind == "wide":
-        fan_deg = round(rng.uniform(115, 132), 1)
-        return replace(
-            sonar,
-            beams=int(rng.choice([256, 512])),
-            field_of_view_deg=fan_deg,
-            beam_width_deg=round(rng.uniform(0.8, 1.2), 3),
-            vertical_beam_deg=20.0,
-        )
+        view = {"field_of_view_deg": r(115, 132, 1), "beams": int(rng.choice([256, 512]))}
+        beams |= view | {"beam_width_deg": r(0.8, 1.2, 3), "vertical_beam_deg": 20.0}
     if kind in _UNSTEADY:
-        return replace(
-            sonar,
-            tilt_error_deg=round(rng.uniform(-3, 3), 2),
-            height_error_m=round(rng.uniform(-0.05, 0.05), 3),
-        )
-    return sonar
+        place |= {"tilt_error_deg": r(-3, 3, 2), "height_error_m": r(-0.05, 0.05, 3)}
+    return SonarSection(**window_m, **place, **beams, pulse_m=pulse_m)
 
 
 def _motion(kind: str, rng: np.random.Generator) -> MotionSection:
-    u, jitter = rng.uniform, kind in _UNSTEADY
-    return MotionSection(
-        pan_min_deg=-31,
-        pan_max_deg=31,
-        pan_start_deg=float(rng.integers(-31, 32)),
-        pan_deg_s=round(u(6, 12) if kind == "fast_pan" else u(1.6, 2.8), 2),
-        yaw_jitter_deg=round(u(0.2, 0.5) if jitter else u(0, 0.08), 3),
-        heave_m=round(u(0.01, 0.03) if jitter else u(0, 0.003), 4),
-        heave_period_s=round(u(4, 10), 1),
-        sway_x_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-        sway_y_m=round(u(0.01, 0.06), 3) if jitter else 0.0,
-    )
+    r, jitter = rounded(rng), kind in _UNSTEADY
+    pan = {"pan_min_deg": -31, "pan_max_deg": 31, "pan_start_deg": float(rng.integers(-31, 32))}
+    pan |= {"pan_deg_s": r(6, 12, 2) if kind == "fast_pan" else r(1.6, 2.8, 2)}
+    sway = {"yaw_jitter_deg": r(0.2, 0.5, 3) if jitter else r(0, 0.08, 3)}
+    sway |= {"heave_m": r(0.01, 0.03, 4) if jitter else r(0, 0.003, 4)}
+    sway |= {"heave_period_s": r(4, 10, 1)}
+    sway |= {name: r(0.01, 0.06, 3) if jitter else 0.0 for name in ("sway_x_m", "sway_y_m")}
+    return MotionSection(**pan, **sway)
 
 
 def _floor(rng: np.random.Generator) -> FloorSection:
-    u = rng.uniform
-    return FloorSection(
-        texture_db=round(u(0.6, 2.2), 2),
-        texture_m=round(u(0.08, 0.4), 3),
-        angle_exponent=round(u(0, 1.6), 2),
-        speckle_s=round(math.exp(u(math.log(3), math.log(200))), 1),
-    )
+    r = rounded(rng)
+    texture = {"texture_db": r(0.6, 2.2, 2), "texture_m": r(0.08, 0.4, 3)}
+    angle_exponent, speckle_s = r(0, 1.6, 2), math.exp(rng.uniform(math.log(3), math.log(200)))
+    return FloorSection(**texture, angle_exponent=angle_exponent, speckle_s=round(speckle_s, 1))
 
 
 def _fading(kind: str, wide: bool, rng: np.random.Generator) -> FadingSection:
-    u, hard, most_db = rng.uniform, kind in _FADING, 4.5 if wide else 3.5
-    return FadingSection(
-        object_db=round(u(2, most_db) if hard else u(0.5, 2), 2),
-        patch_db=round(u(2, most_db) if hard else u(0.8, 2.4), 2),
-        patch_m=round(u(0.04, 0.12), 3),
-        time_s=round(u(2, 12), 1),
-        specular_db=round(u(0, 5), 2),
-        frame_probability=round(u(0.01, 0.06) if hard else u(0, 0.02), 4),
-        burst_probability=round(u(0.01, 0.03) if hard else u(0, 0.003), 4),
-        burst_frames=round(u(3, 10), 1),
-        depth_db=round(u(6, 12) if hard else u(4, 9), 1),
-        ghost_db=round(u(-16, -8) if hard or kind == "near_miss" else u(-24, -12), 1),
-        ghost_shift_m=round(u(0.03, 0.2), 3),
-        ghost_blur_m=round(u(0.02, 0.08), 3),
-    )
+    r, hard, most_db = rounded(rng), kind in _FADING, 4.5 if wide else 3.5
+    spread = {"object_db": r(2, most_db, 2) if hard else r(0.5, 2, 2)}
+    spread |= {"patch_db": r(2, most_db, 2) if hard else r(0.8, 2.4, 2)}
+    spread |= {"patch_m": r(0.04, 0.12, 3), "time_s": r(2, 12, 1), "specular_db": r(0, 5, 2)}
+    bursts = {"frame_probability": r(0.01, 0.06, 4) if hard else r(0, 0.02, 4)}
+    bursts |= {"burst_probability": r(0.01, 0.03, 4) if hard else r(0, 0.003, 4)}
+    bursts |= {"burst_frames": r(3, 10, 1), "depth_db": r(6, 12, 1) if hard else r(4, 9, 1)}
+    ghost = {"ghost_db": r(-16, -8, 1) if hard or kind == "near_miss" else r(-24, -12, 1)}
+    ghost |= {"ghost_shift_m": r(0.03, 0.2, 3), "ghost_blur_m": r(0.02, 0.08, 3)}
+    return FadingSection(**spread, **bursts, **ghost)
 
 
 def _noise(kind: str, wide: bool, rng: np.random.Generator) -> NoiseSection:
-    u, faint = rng.uniform, kind == "low_contrast"
-    if kind == "all_hard":
-        snr_db = 9.0
-    else:
-        snr_db = round(u(4 if wide else 8, 14) if faint else u(10, 26), 1)
-    return NoiseSection(
-        snr_db=snr_db,
-        smear=round(u(0, 0.5), 2),
-        shadow_db=round(u(-20, -9), 1),
-        gain_drift_db=round(u(1.5, 4) if faint or kind in _FADING else u(0, 1.5), 2),
-        gain_drift_s=round(u(40, 200), 1),
-        group_gain_db=round(u(0.2, 1.2), 2),
-        beam_gain_db=round(u(0.1, 0.6), 2),
-        hot_beams=int(rng.integers(0, 5)),
-        hot_beam_db=round(u(1, 4), 2),
-    )
+    r, faint = rounded(rng), kind == "low_contrast"
+    least, most = (4 if wide else 8, 14) if faint else (10, 26)
+    noise = {"snr_db": 9.0 if kind == "all_hard" else r(least, most, 1)}
+    noise |= {"smear": r(0, 0.5, 2), "shadow_db": r(-20, -9, 1)}
+    gain = {"gain_drift_db": r(1.5, 4, 2) if faint or kind in _FADING else r(0, 1.5, 2)}
+    gain |= {"gain_drift_s": r(40, 200, 1), "group_gain_db": r(0.2, 1.2, 2)}
+    gain |= {"beam_gain_db": r(0.1, 0.6, 2), "hot_beams": int(rng.integers(0, 5))}
+    return NoiseSection(**noise, **gain, hot_beam_db=r(1, 4, 2))
 
 
 def _picture(rng: np.random.Generator) -> PictureSection:
-    return PictureSection(
-        black_db=round(rng.uniform(-24, -12), 1),
-        dynamic_range_db=round(rng.uniform(40, 66), 1),
-        gamma=round(rng.uniform(0.8, 1.3), 2),
-    )
+    r = rounded(rng)
+    black_db, range_db = r(-24, -12, 1), r(40, 66, 1)
+    return PictureSection(black_db=black_db, dynamic_range_db=range_db, gamma=r(0.8, 1.3, 2))
 
 
 def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
@@ -178,12 +132,8 @@ def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> L
         return replace(discs, name="tiny_discs", radius_m=0.06)
     if kind == "ring_widths":
         inner = rng.uniform(0.72, 0.88)
-        return replace(
-            discs,
-            name="ring_widths",
-            ring=(round(inner, 3), 1.0),
-            symbol=(round(rng.uniform(0, 0.15), 3), round(inner - rng.uniform(0.1, 0.24), 3)),
-        )
+        symbol = round(rng.uniform(0, 0.15), 3), round(inner - rng.uniform(0.1, 0.24), 3)
+        return replace(discs, name="ring_widths", ring=(round(inner, 3), 1.0), symbol=symbol)
     if kind == "small_discs":
         return replace(discs, name="small_discs", radius_m=round(rng.uniform(0.09, 0.12), 3))
     return discs
@@ -191,25 +141,21 @@ def _landmark_set(kind: str, sonar: SonarSection, rng: np.random.Generator) -> L
 
 def _other_set(sonar: SonarSection, rng: np.random.Generator) -> LandmarkSet:
     """Draw a set of three to eight IDs with three to six sectors, no two alike when turned."""
-    sectors = int(rng.integers(3, 7))
-    rotations = {
-        min(tuple(np.roll(code, turn).tolist()) for turn in range(sectors))
-        for code in (
-            [(number >> bit) & 1 for bit in range(sectors)] for number in range(1, 2**sectors - 1)
-        )
-    }
-    codes = sorted(rotations)
+    codes = unlike_codes(int(rng.integers(3, 7)))
     count = min(int(rng.integers(3, 9)), len(codes))
     drawn = rng.choice(len(codes), count, replace=False)
-    window_m = sonar.range_max_m - sonar.range_min_m
-    return LandmarkSet(
-        name="other_sets",
-        radius_m=round(float(np.clip(window_m * rng.uniform(0.04, 0.1), 0.08, 0.5)), 3),
-        ring=(0.80, 1.00),
-        symbol=(0.0, 0.62),
-        ids=tuple(range(1, count + 1)),
-        sectors=tuple(codes[i] for i in sorted(drawn)),
-    )
+    share = rng.uniform(0.04, 0.1) * (sonar.range_max_m - sonar.range_min_m)
+    radius_m = round(float(np.clip(share, 0.08, 0.5)), 3)
+    chosen = tuple(codes[i] for i in sorted(drawn))
+    ids = tuple(range(1, count + 1))
+    return LandmarkSet("other_sets", radius_m, (0.80, 1.00), (0.0, 0.62), ids, chosen)
+
+
+@cache
+def unlike_codes(size: int) -> list[tuple[int, ...]]:
+    """Every code of so many sectors, of those that are equal when turned only one."""
+    every = [tuple((n >> bit) & 1 for bit in range(size)) for n in range(1, 2**size - 1)]
+    return sorted({min(c[i:] + c[:i] for i in range(size)) for c in every})
 
 
 class _FreePlaces:
@@ -238,8 +184,7 @@ class _FreePlaces:
         far = max(self._near + share * (self._far - self._near) - 1.15 * radius_m, near + 0.02)
         for _ in range(200):
             ground = self._rng.uniform(near, far)
-            azimuth = self._rng.uniform(-40, 40)
-            sonar = self._sonar
+            azimuth, sonar = self._rng.uniform(-40, 40), self._sonar
             sine = min(sonar.height_m / math.hypot(ground, sonar.height_m), 1.0)
             off_axis = (np.degrees(np.arcsin(sine)) - sonar.tilt_deg) / sonar.vertical_beam_deg
             if -40 * math.log10(2) * off_axis**2 < LEAST_LIT_DB:
@@ -248,8 +193,8 @@ class _FreePlaces:
                 moments = len(self._path) if len(self._taken) > 1 else FIRST_FRAMES
                 pose = self._path[int(self._rng.integers(moments))]
                 ground, azimuth = _from_origin(pose, ground, azimuth * 0.3)
-            x = ground * math.sin(math.radians(azimuth))
-            y = ground * math.cos(math.radians(azimuth))
+            angle = math.radians(azimuth)
+            x, y = ground * math.sin(angle), ground * math.cos(angle)
             if all(math.hypot(x - a, y - b) > radius_m + c + 0.05 for a, b, c in self._taken):
                 self._taken.append((x, y, radius_m))
                 return round(ground, 3), round(azimuth, 2)
@@ -300,30 +245,24 @@ def _objects(
     kind: str, scene: Scene, places: _FreePlaces, looks: _Looks, rng: np.random.Generator
 ) -> list[PlacedObject]:
     """Draw the objects that are no landmarks, as the kind of scene asks; fewer without room."""
-    names = ["blank", "filled", "tyre", "stone", "stone"]
-    names += [str(k) for k in rng.choice(["mesh", "beam", "stone"], 2)]
+    names = ["blank", "filled", "tyre", "stone", "stone", *rng.choice(["mesh", "beam", "stone"], 2)]
+    fakes = ["spokes", "half_ring", "blank", "filled"]
     if kind == "symbols":
-        names += [str(k) for k in rng.choice(LEARNED_SYMBOLS, 5)]
+        names += [*rng.choice(LEARNED_SYMBOLS, 5)]
     elif kind == "other_symbols":
-        names += [str(k) for k in rng.choice(OTHER_SYMBOLS, 5)]
+        names += [*rng.choice(OTHER_SYMBOLS, 5)]
     elif kind in ("any_floor", "relief", "light", "debris", "wide", "glitter"):
-        names += [str(k) for k in rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
-    elif kind in _FAKES:
-        names += ["spokes", "half_ring", "blank", "filled"]
+        names += [*rng.choice([*LEARNED_SYMBOLS, "blank", "half_ring"], 2)]
     else:
-        names += [str(k) for k in rng.choice(["spokes", "half_ring", "blank", "filled"], 1)]
+        names += fakes if kind in _FAKES else [*rng.choice(fakes, 1)]
     objects = []
-    for name in names:
-        draft = PlacedObject(
-            name,
-            1.0,
-            0.0,
-            orientation_deg=round(rng.uniform(0, 360), 1),
-            size_m=_random_size(name, scene.landmark_set.radius_m, rng),
-            bright_db=round(KINDS[name][3] + (looks.bright - 12) + rng.normal(0, 1), 2),
-            plate_db=round(looks.plate + rng.normal(0, 0.7), 2),
-            number=int(rng.integers(2**31)) if name in SYMBOLS else 0,
-        )
+    for name in map(str, names):
+        size = {"orientation_deg": round(rng.uniform(0, 360), 1)}
+        size |= {"size_m": _random_size(name, scene.landmark_set.radius_m, rng)}
+        bright_db = round(KINDS[name][3] + (looks.bright - 12) + rng.normal(0, 1), 2)
+        levels = {"bright_db": bright_db, "plate_db": round(looks.plate + rng.normal(0, 0.7), 2)}
+        number = int(rng.integers(2**31)) if name in SYMBOLS else 0
+        draft = PlacedObject(name, 1.0, 0.0, **size, **levels, number=number)
         place = places.find(object_radius(scene, draft), looks.share)
         if place:
             objects.append(replace(draft, ground_m=place[0], azimuth_deg=place[1]))
@@ -340,39 +279,27 @@ def random_scene(seed: int, kind: str = "plain", wide: bool = False, **overrides
     """
     rng = np.random.default_rng([seed, ALL_KINDS.index(kind)])
     sonar = overrides.get("sonar") or _sonar(kind, rng)
-    scene = Scene(
-        name=f"{kind}_{seed}",
-        seed=seed,
-        landmark_set=overrides.get("landmark_set") or _landmark_set(kind, sonar, rng),
-        sonar=sonar,
-        motion=_motion(kind, rng),
-        floor=_floor(rng),
-        fading=_fading(kind, wide, rng),
-        noise=_noise(kind, wide, rng),
-        picture=_picture(rng),
-    )
-    path = None
+    discs = overrides.get("landmark_set") or _landmark_set(kind, sonar, rng)
+    parts = {"motion": _motion(kind, rng), "floor": _floor(rng)}
+    parts |= {"fading": _fading(kind, wide, rng), "noise": _noise(kind, wide, rng)}
+    parts |= {"sonar": sonar, "landmark_set": discs, "picture": _picture(rng)}
+    scene = Scene(name=f"{kind}_{seed}", seed=seed, **parts)
     if kind == "vehicle":
         motion = vehicle_motion(rng)
         scene = replace(scene, frames=RUN_FRAMES, motion=overrides.get("motion", motion))
-        path = poses(scene)
-    places = _FreePlaces(scene.sonar, rng, path)
+    places = _FreePlaces(scene.sonar, rng, poses(scene) if kind == "vehicle" else None)
     faint = rng.uniform(3, 7 if wide else 5) if kind == "low_contrast" else 0.0
-    looks = _Looks(
-        bright=rng.uniform(9, 14) - faint,
-        plate=rng.uniform(-10, -4) + faint / 2,
-        # Far out the beam hardly reaches the floor, and no sonar would be used there.
-        share=0.6 if scene.sonar.range_max_m > 4 else 0.85,
-    )
+    # Far out the beam hardly reaches the floor, and no sonar would be used there.
+    share = 0.6 if scene.sonar.range_max_m > 4 else 0.85
+    looks = _Looks(rng.uniform(9, 14) - faint, rng.uniform(-10, -4) + faint / 2, share)
     landmarks = _landmarks(kind, scene.landmark_set, places, looks, rng)
     objects = _objects(kind, scene, places, looks, rng)
     if kind == "occluded":
         objects += [_cover(landmark, scene.landmark_set.radius_m, rng) for landmark in landmarks]
     if rng.uniform() < 0.5 and kind != "vehicle":
         far = math.sqrt(scene.sonar.range_max_m**2 - scene.sonar.height_m**2)
-        objects.append(
-            PlacedObject("wall", round(0.95 * far, 3), 0.0, round(rng.uniform(-12, 12), 1))
-        )
+        turn = round(rng.uniform(-12, 12), 1)
+        objects.append(PlacedObject("wall", round(0.95 * far, 3), 0.0, turn))
     drawn = replace(scene, landmarks=tuple(landmarks), objects=tuple(objects))
     drawn = replace(in_world(drawn, kind, rng), **overrides)
     check_scene(drawn, drawn.name)
@@ -393,9 +320,5 @@ def _cover(landmark: PlacedLandmark, disc_m: float, rng: np.random.Generator) ->
     angle = rng.uniform(0, 2 * math.pi)
     x, y = position_of(landmark)
     x, y = x + away * math.cos(angle), y + away * math.sin(angle)
-    return PlacedObject(
-        "cover",
-        round(math.hypot(x, y), 3),
-        round(math.degrees(math.atan2(x, y)), 2),
-        size_m=round(disc_m * rng.uniform(0.5, 0.75), 3),
-    )
+    place = round(math.hypot(x, y), 3), round(math.degrees(math.atan2(x, y)), 2)
+    return PlacedObject("cover", *place, size_m=round(disc_m * rng.uniform(0.5, 0.75), 3))

@@ -13,7 +13,6 @@ fakes are told by themselves, too.
 
 from __future__ import annotations
 
-import csv
 import math
 import shutil
 import time
@@ -42,12 +41,12 @@ from sonarrec.simulation.scene import Scene, scene_fan, scene_sonar
 from sonarrec.simulation.truth import TRUTH_COLUMNS, truth_in_view, truth_rows
 from sonarrec.sonar.frame import Frame, FrameResult
 from sonarrec.truth.table import write_truth
-from tests.studies.paper.parts import CONTINUITY, ONE, Parts
+from tests.studies.paper.parts import CONTINUITY, ONE, READINGS, Parts, Readings
 from tests.studies.paper.published import CLEAR, HALF, IDS, TABLE_4, TABLE_5, WHOLE
-from tests.studies.paper.readings import READINGS, Readings
 from tests.studies.paper.search import HERE, meets
 from tests.studies.paper.world import FAKES, World, kept_worlds
 from tests.studies.results.record import options, save, show
+from tests.support.rows import read_rows
 from tests.support.simulated import in_processes, matched
 
 SEEDS = range(7100, 7400)
@@ -69,19 +68,11 @@ PAIRS = (
     ("continuity, one claim", "framework"),
 )
 """Of which the second less the first is told."""
-EARLIER = {
-    "paper": np.array(
-        [[83, 55, 97, 76, 179, 73, 25, 105, 105, 79], [-3, -30, -5, 11, -36, -2, 21, -12, 10, 7]]
-    ).T
-    / 1000,
-    "strict": np.array(
-        [
-            [121, 53, 132, 93, 200, 131, 68, 167, 178, 136],
-            [-11, -72, -10, 5, -50, -14, 14, -32, -18, -30],
-        ]
-    ).T
-    / 1000,
+_IN_1000 = {
+    "paper": "83 55 97 76 179 73 25 105 105 79  -3 -30 -5 11 -36 -2 21 -12 10 7",
+    "strict": "121 53 132 93 200 131 68 167 178 136  -11 -72 -10 5 -50 -14 14 -32 -18 -30",
 }
+EARLIER = {how: np.array(v.split(), int).reshape(2, 10).T / 1000 for how, v in _IN_1000.items()}
 """(10, 2) framework less SMI, TPR and FPR, in the ten worlds of the search before, by the same
 preset: the table by world in paper.toml of commit 1266013d."""
 MOST, PARTICLES = 10, 2
@@ -119,9 +110,8 @@ def record(job: Job) -> None:
     parts = [Parts(config, fan, landmarks) for config in configs]
     stages, folders = parts[0].stages, list(job.folders)
     methods = [list(METHODS.values())] * PARTICLES
-    readings = None
+    readings = Readings(configs[0], fan, landmarks)
     if job.readings is not None:
-        readings = Readings(configs[0], fan, landmarks)
         configs.append(configs[0])
         folders.append(job.readings)
         methods.append([*PLAIN.values(), *READINGS])
@@ -130,15 +120,15 @@ def record(job: Job) -> None:
         writers = []
         for folder, config, names in zip(folders, configs, methods, strict=True):
             shutil.rmtree(folder, ignore_errors=True)
-            source = scene.name, 0, ""
-            run = run_table([config], names, scene_sonar(scene), fan, landmarks, source)
+            about = scene_sonar(scene), fan, landmarks, (scene.name, 0, "")
+            run = run_table([config], names, *about)
             writers.append(stack.enter_context(ResultsWriter(folder, landmarks, run)))
         for seen in render(scene):
             frame = Frame(seen.index, seen.timestamp_ns, seen.image, fan)
             image = stages.working_image(frame)
             selection = stages.stage1(image)  # no particles in it
             made = [part.step(frame, image, selection) for part in parts]
-            if readings is not None:
+            if job.readings is not None:
                 plain = [e for e in made[0] if e.method in PLAIN.values()]
                 made.append([*plain, *readings.step(frame, image, selection)])
             for writer, of in zip(writers, made, strict=True):
@@ -253,34 +243,23 @@ def compared(group: Group, a: str, b: str, how: str) -> str:
     return told(group.rates(b, how) - group.rates(a, how), many[1] - many[0])
 
 
-def with_earlier(group: Group, how: str) -> FloatArray:
-    """(worlds, 2) framework less SMI, TPR and FPR, in these worlds and those of EARLIER."""
-    return np.vstack([group.rates("framework", how) - group.rates("SMI", how), EARLIER[how]])
-
-
 def difference_lines(group: Group) -> list[dict[str, str]]:
     """A line for each of PAIRS, then the ten earlier worlds, and these with all others."""
-    lines = [
-        {"difference": f"{b} less {a}"} | {how: compared(group, a, b, how) for how in COUNTINGS}
-        for a, b in PAIRS
-    ]
-    lines.insert(1, {"difference": "the same in ten earlier worlds"})
-    lines[1] |= {how: told(EARLIER[how]) for how in COUNTINGS}
-    lines.insert(2, {"difference": f"the same in all {len(group.numbers) + len(EARLIER['paper'])}"})
-    lines[2] |= {how: told(with_earlier(group, how)) for how in COUNTINGS}
-    return [dict(zip(("difference", *COUNTINGS), PUBLISHED_GAIN, strict=True)), *lines]
+    rows = [(f"{b} less {a}", *(compared(group, a, b, how) for how in COUNTINGS)) for a, b in PAIRS]
+    earlier = "the same in ten earlier worlds", *(told(EARLIER[how]) for how in COUNTINGS)
+    both = {
+        how: np.vstack([group.rates("framework", how) - group.rates("SMI", how), EARLIER[how]])
+        for how in COUNTINGS
+    }
+    together = f"the same in all {len(both['paper'])}", *map(told, both.values())
+    rows = [PUBLISHED_GAIN, rows[0], earlier, together, *rows[1:]]
+    return [dict(zip(("difference", *COUNTINGS), row, strict=True)) for row in rows]
 
 
 def equal_fpr_lines(group: Group) -> list[dict[str, str]]:
     """The TPR of each method at the FPR that SMI has, and at that of the framework."""
-    columns = {
-        f"{how}, at {method}'s FPR, {group.together(method, how)[1]:.4f}": (
-            how,
-            float(group.together(method, how)[1]),
-        )
-        for how in COUNTINGS
-        for method in PLAIN
-    }
+    fprs = {(m, how): float(group.together(m, how)[1]) for how in COUNTINGS for m in PLAIN}
+    columns = {f"{how}, at {m}'s FPR, {v:.4f}": (how, v) for (m, how), v in fprs.items()}
     at = {(m, c): group.tpr_at(m, *of) for m in METHODS for c, of in columns.items()}
     shown = [m for m in METHODS if not METHODS[m].endswith(ONE)]
     lines = [{"TPR": m} | {c: spanned(at[m, c]) for c in columns} for m in shown]
@@ -331,25 +310,20 @@ def false_by_thing(job: Job, landmark: int) -> dict[str, Counter[str]]:
     """Of SMI and the framework the false claims of an ID, by the thing on which they lie."""
     fan = scene_fan(job.scene)
     frames = [truth_in_view(job.scene, fan, pose, None) for pose in poses(job.scene)]
-    counts = {name: Counter[str]() for name in COLOURS}
-    names = {METHODS[name]: name for name in COLOURS}
-    with (job.folders[0] / "estimates.csv").open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if row["method"] not in names or (row["declared"], row["landmark"]) != (
-                "1",
-                str(landmark),
-            ):
-                continue
-            truth, others = frames[int(row["frame"])]
-            if any(t.landmark == landmark and t.visible >= HALF for t in truth):
-                continue
-            things = [(t.x_px, t.y_px, f"ID.{t.landmark}") for t in truth]
-            things += [(t.x_px, t.y_px, t.kind) for t in others if t.kind in FAKES]
-            x, y = float(row["x_px"]), float(row["y_px"])
-            near = [(math.hypot(a - x, b - y), kind) for a, b, kind in things]
-            away, kind = min(near, default=(math.inf, ""))
-            counts[names[row["method"]]][kind if away < DISC_PX else "elsewhere"] += 1
-    return counts
+    counts = {METHODS[name]: Counter[str]() for name in COLOURS}
+    for row in read_rows(job.folders[0] / "estimates.csv"):
+        truth, others = frames[int(row["frame"])]
+        is_in_view = any(t.landmark == landmark and t.visible >= HALF for t in truth)
+        claim = row["method"] in counts, row["declared"], row["landmark"]
+        if is_in_view or claim != (True, "1", str(landmark)):
+            continue
+        things = [(t.x_px, t.y_px, f"ID.{t.landmark}") for t in truth]
+        things += [(t.x_px, t.y_px, t.kind) for t in others if t.kind in FAKES]
+        at = float(row["x_px"]), float(row["y_px"])
+        near = [(math.dist((x, y), at), kind) for x, y, kind in things]
+        away, kind = min(near, default=(math.inf, ""))
+        counts[row["method"]][kind if away < DISC_PX else "elsewhere"] += 1
+    return {name: counts[METHODS[name]] for name in COLOURS}
 
 
 def table_lines(group: Group) -> list[dict[str, str]]:
@@ -407,26 +381,23 @@ def beliefs(results: Path, method: str, landmark: int) -> dict[int, FloatArray]:
     """Frame: (K,) beliefs of the object nearest to a landmark that is whole in view."""
     where = places(results / "gt.csv", landmark)
     found: dict[int, tuple[float, FloatArray]] = {}
-    with (results / "estimates.csv").open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            frame = int(row["frame"])
-            if row["method"] != method or frame not in where:
-                continue
-            x, y = where[frame]
-            away = math.hypot(float(row["x_px"]) - x, float(row["y_px"]) - y)
-            if away < found.get(frame, (NEAR_PX,))[0]:
-                found[frame] = away, np.array([float(row[f"p_{i}"]) for i in IDS])
+    for row in read_rows(results / "estimates.csv"):
+        frame = int(row["frame"])
+        if row["method"] != method or frame not in where:
+            continue
+        away = math.dist((float(row["x_px"]), float(row["y_px"])), where[frame])
+        if away < found.get(frame, (NEAR_PX,))[0]:
+            found[frame] = away, np.array([float(row[f"p_{i}"]) for i in IDS])
     return {frame: belief for frame, (_, belief) in found.items()}
 
 
-def places(truth: Path, landmark: int, visible: float = WHOLE) -> dict[int, tuple[float, float]]:
+def places(truth: Path, landmark: int) -> dict[int, tuple[float, float]]:
     """Frame: fan pixel of a landmark, where it is whole in view."""
-    with truth.open(newline="", encoding="utf-8") as file:
-        return {
-            int(r["frame"]): (float(r["x_px"]), float(r["y_px"]))
-            for r in csv.DictReader(file)
-            if int(r["landmark"]) == landmark and float(r["visible"]) >= visible
-        }
+    return {
+        int(r["frame"]): (float(r["x_px"]), float(r["y_px"]))
+        for r in read_rows(truth)
+        if int(r["landmark"]) == landmark and float(r["visible"]) >= WHOLE
+    }
 
 
 def frames_until_clear(results: Path, method: str, landmark: int) -> list[int]:
@@ -513,25 +484,19 @@ def tell(group: Group, blank: Group) -> None:
         difference_lines(group),
     )
     show("Tables 4 and 5, protocol paper, all worlds together", table_lines(group))
-    show(
-        "All worlds together, TPR / FPR; with a blank disc",
-        [
-            {"method": m}
-            | {how: group.told(m, how) for how in COUNTINGS}
-            | {f"{how}, with a blank": blank.told(m, how) for how in COUNTINGS}
-            for m in METHODS
-        ],
-    )
+    lines = [
+        {"method": m}
+        | {how: group.told(m, how) for how in COUNTINGS}
+        | {f"{how}, with a blank": blank.told(m, how) for how in COUNTINGS}
+        for m in METHODS
+    ]
+    show("All worlds together, TPR / FPR; with a blank disc", lines)
     show("By world, SMI -> framework, TPR / FPR", world_lines(group))
     by_thing = [false_by_thing(j, 1) for j in group.every_job]
     total = {name: sum((c[name] for c in by_thing), Counter[str]()) for name in COLOURS}
-    show(
-        f"False claims of ID.1 in {len(by_thing)} recordings, by the thing they lie on",
-        [
-            {"thing": kind} | {name: total[name][kind] for name in COLOURS}
-            for kind in sorted({*total["SMI"], *total["framework"]})
-        ],
-    )
+    things = sorted({*total["SMI"], *total["framework"]})
+    lines = [{"thing": t} | {name: total[name][t] for name in COLOURS} for t in things]
+    show(f"False claims of ID.1 in {len(by_thing)} recordings, by the thing they lie on", lines)
     show("Beside", [{"figure": k, "value": v} for k, v in beside(group).items()])
 
 

@@ -31,10 +31,7 @@ class Unknown:
 UNKNOWNS = (
     Unknown("ring_db", 9, 16, "gel-stone reflects much, over a basin's floor"),
     Unknown("symbol_db", -2, 2, "over the ring: the same material"),
-    *(
-        Unknown(f"own_db_{i}", -3, 3, "the symbol of each landmark was made and lies by hand")
-        for i in PRESENT
-    ),
+    *(Unknown(f"own_db_{i}", -3, 3, "each symbol was made and lies by hand") for i in PRESENT),
     Unknown("plate_db", -12, -5, "aluminium reflects less than the floor"),
     Unknown("object_db", 0.6, 2.2, "unstable reflection"),
     Unknown("patch_db", 0.6, 2.5, "unstable reflection, within a disc"),
@@ -79,27 +76,15 @@ class World:
     def scene(self, seed: int, frames: int = FRAMES) -> Scene:
         """The paper's scene in this world."""
         v, base = self.values, load_scene("paper")
-        landmarks = tuple(
-            PlacedLandmark(
-                i,
-                v[f"ground_m_{i}"],
-                v[f"azimuth_deg_{i}"],
-                v[f"turn_deg_{i}"],
-                bright_db=v["ring_db"],
-                symbol_db=round(v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"], 2),
-                plate_db=v["plate_db"],
-            )
-            for i in PRESENT
-        )
+        lies = ("ground_m", "azimuth_deg", "turn_deg")
+        levels = {"bright_db": v["ring_db"], "plate_db": v["plate_db"]}
+        landmarks = []
+        for i in PRESENT:
+            symbol_db = round(v["ring_db"] + v["symbol_db"] + v[f"own_db_{i}"], 2)
+            place = (v[f"{name}_{i}"] for name in lies)
+            landmarks.append(PlacedLandmark(i, *place, symbol_db=symbol_db, **levels))
         fakes = [
-            PlacedObject(
-                kind,
-                v[f"fake_ground_m_{n}"],
-                v[f"fake_azimuth_deg_{n}"],
-                v[f"fake_turn_deg_{n}"],
-                bright_db=v["ring_db"],
-                plate_db=v["plate_db"],
-            )
+            PlacedObject(kind, *(v[f"fake_{name}_{n}"] for name in lies), **levels)
             for n, kind in enumerate(self.fakes, 1)
         ]
         strays = [
@@ -110,17 +95,12 @@ class World:
             if o.kind in ("mesh", "beam", "wall")
         ]
         fading = replace(base.fading, time_s=v["fading_s"], **{k: v[k] for k in FADING})
-        return replace(
-            base,
-            seed=seed,
-            frames=frames,
-            motion=replace(base.motion, pan_start_deg=v["pan_start_deg"]),
-            fading=fading,
-            noise=replace(base.noise, snr_db=v["snr_db"]),
-            picture=replace(base.picture, dynamic_range_db=v["dynamic_range_db"]),
-            landmarks=landmarks,
-            objects=(*fakes, *strays),
-        )
+        motion = replace(base.motion, pan_start_deg=v["pan_start_deg"])
+        noise = replace(base.noise, snr_db=v["snr_db"])
+        picture = replace(base.picture, dynamic_range_db=v["dynamic_range_db"])
+        seen = {"motion": motion, "fading": fading, "noise": noise, "picture": picture}
+        things = {"landmarks": tuple(landmarks), "objects": (*fakes, *strays)}
+        return replace(base, seed=seed, frames=frames, **seen, **things)
 
 
 def kept_worlds() -> list[World]:

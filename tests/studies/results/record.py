@@ -4,7 +4,6 @@ the program gives on the sample logs."""
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 import subprocess
 import sys
@@ -18,6 +17,8 @@ from typing import Any
 
 import pandas as pd
 import tomli_w
+
+from tests.support.rows import read_rows
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[2]
@@ -42,17 +43,12 @@ def judge(
 ) -> None:
     """Print a figure beside its goal, and keep it: at most the bound, or at least."""
     met = value >= bound if at_least else value <= bound
-    row = [
-        what,
-        format(value, form),
-        f"{'>=' if at_least else '<='} {bound:g}",
-        "yes" if met else "no",
-    ]
-    print(f"  {row[0]:<46} {row[1]:>9}  goal {row[2]}: {'met' if met else 'NOT met'}", flush=True)
+    measured, goal = format(value, form), f"{'>=' if at_least else '<='} {bound:g}"
+    print(f"  {what:<46} {measured:>9}  goal {goal}: {'met' if met else 'NOT met'}", flush=True)
     if not any(caption == GOALS for caption, _ in _shown):
         _shown.append((GOALS, []))
-    goals = next(lines for caption, lines in _shown if caption == GOALS)
-    goals.append(dict(zip(("what", "measured", "goal", "met"), row, strict=True)))
+    row = {"what": what, "measured": measured, "goal": goal, "met": "yes" if met else "no"}
+    next(lines for caption, lines in _shown if caption == GOALS).append(row)
 
 
 def seeds(text: str) -> range:
@@ -124,10 +120,10 @@ def digests() -> dict[str, str]:
             results = Path(folder, "on_record", log)
             shutil.copytree(SAMPLES / "regression" / log, results)
             _sonarrec("evaluate", results, "--ground-truth", SAMPLES / log / "gt.csv")
-            with (results / "evaluation" / "confusion.csv").open(encoding="utf-8") as file:
-                for row in sorted(csv.DictReader(file), key=lambda row: row["method"] != "smi"):
-                    cells = (row[c] for c in ("method", "landmark", "tpr", "fpr"))
-                    rates[PROTOCOLS[row["protocol"]]] += f"{log} {' '.join(cells)}\n"
+            rows = read_rows(results / "evaluation" / "confusion.csv")
+            for row in sorted(rows, key=lambda row: row["method"] != "smi"):
+                cells = (row[c] for c in ("method", "landmark", "tpr", "fpr"))
+                rates[PROTOCOLS[row["protocol"]]] += f"{log} {' '.join(cells)}\n"
     return found | {name: sha256(text.encode()).hexdigest()[:12] for name, text in rates.items()}
 
 
