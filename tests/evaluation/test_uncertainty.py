@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from sonarrec.evaluation.figures import (
-    METRICS,
-    Sample,
-    differences,
-    intervals,
-    rates,
-    summarise,
-)
+from sonarrec.evaluation.figures import METRICS, Sample, differences, intervals, rates, summarise
 from sonarrec.evaluation.uncertainty import bootstrap_weights, coin_tosses, interval, rate_interval
 from sonarrec.reports.screen import over_units
 from tests.support.claims import counts, matched
