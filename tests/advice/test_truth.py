@@ -16,10 +16,9 @@ from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.landmarks import load_landmarks
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sonarrec
 from tests.support.crossing import write_crossing
 from tests.support.drawn import make_fan
-from tests.support.rows import read_rows
 
 
 @pytest.mark.parametrize(
@@ -47,19 +46,6 @@ def test_what_makes_figures_mean_something_else_comes_first(
     call = "evaluate", tmp_path / "out", "--ground-truth", tmp_path / "gt.csv"
     said = sonarrec(*call, code=3 if doubt else 0).stderr.partition("\n")[0]
     assert doubt in said if doubt else not said
-
-
-@pytest.mark.slow
-def test_a_log_read_from_the_wrong_end_is_told(tmp_path: Path) -> None:
-    sonarrec("run", "-q", SAMPLE, "-o", tmp_path)
-    rows = read_rows(SAMPLE / "gt.csv")
-    truth = ["frame,landmark,range_m,bearing_deg"]
-    for row in rows:  # the log shows 1.25 to 3.75 m
-        range_m = 5 - float(row["range_m"])
-        truth.append(f"{row['frame']},{row['landmark']},{range_m},{row['bearing_deg']}")
-    (tmp_path / "gt.csv").write_text("\n".join(truth))
-    call = "evaluate", tmp_path / "pan", "--ground-truth", tmp_path / "gt.csv"
-    assert "--range-order" in sonarrec(*call, code=3).stderr
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,6 @@ def rate_samples(found, protocol: str, method: str) -> list[Sample]:
     return list(rates(found, method, protocol))
 
 
-# --- Passes and units ----------------------------------------------------------------------------
-
-
 def seen(landmark: int, first: int, last: int) -> list[tuple]:
     return [(f, landmark, 0, 0, True) for f in range(first, last + 1)]
 
@@ -103,9 +100,6 @@ def test_units_add_up_to_the_whole() -> None:
             assert summed["auc"] == pytest.approx(exact["auc"], abs=0.01), k
             for name in RATES[4:]:
                 assert summed[name] == pytest.approx(exact[name], abs=1e-6), name
-
-
-# --- Intervals -----------------------------------------------------------------------------------
 
 
 def test_interval_is_widened_as_student() -> None:
@@ -176,9 +170,6 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"
     assert all(math.isnan(f.low) for f in summary.figures)
     assert all(math.isnan(d.p) for d in summary.differences)
-
-
-# --- The test ------------------------------------------------------------------------------------
 
 
 def test_p_value_by_enumeration() -> None:
