@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from sonarrec.results.run_file import read_run
 from tests.support.batch import made
 from tests.support.command import SAMPLE, on_a_terminal, sample_log, sonarrec
 from tests.support.locked import locked
+from tests.support.rows import read_rows
 
 TEN = SAMPLE / "00000*.png"
 
@@ -27,8 +27,7 @@ def run_words(words: str, code: int, **places: Path) -> Result:
 
 
 def numbers(folder: Path) -> list[int]:
-    with (folder / "frames.csv").open(newline="") as file:
-        return [int(row["frame"]) for row in csv.DictReader(file)]
+    return [int(row["frame"]) for row in read_rows(folder / "frames.csv")]
 
 
 @pytest.mark.slow
@@ -46,18 +45,6 @@ def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
     assert "up to date" not in whole.stdout
 
 
-@pytest.mark.slow
-def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
-    (log,) = made(tmp_path, "dive", frames=8)
-    sonarrec("run", "-q", log, "--frames", "2:5", "-o", tmp_path / "out")
-    again = ["--config", tmp_path / "out" / "dive" / "run.toml", "-o"]
-    for named, out in ((log, "again"), (log / "*.png", "glob")):
-        sonarrec("run", "-q", named, *again, tmp_path / out)
-        assert numbers(tmp_path / out / "dive") == [2, 3, 4]
-    done = run(log, tmp_path / "python", frames=(6, None))
-    assert numbers(done.folder) == [6, 7]
-
-
 @pytest.mark.parametrize("text", ["3", "5:5", "a:b", "-3:", "1:2:3", "99999:"])
 def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
     done = sonarrec("run", TEN, "--frames", text, "-o", tmp_path / "o", code=2)
@@ -66,15 +53,12 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
 
 
 FAULTS = {  # and the exit code: `sonarrec help run`
-    ("an input that is not there", 2): """run GONE | run GONE GONE | info GONE
+    ("not there", 2): """run GONE | run GONE GONE | info GONE
         evaluate GONE --ground-truth GT | evaluate --ground-truth GONE | evaluate --pairs GONE
         evaluate --compare GONE GONE --ground-truth GT | report GONE | overlay GONE -o o.mcap
         calibrate GONE --ground-truth GT -o m.toml | truth check GT GONE | truth convert GONE
         truth propose GONE | map GONE | check GONE""",
-    (
-        "nothing in it",
-        2,
-    ): """run EMPTY | info EMPTY | evaluate EMPTY --ground-truth GT | report EMPTY
+    ("empty", 2): """run EMPTY | info EMPTY | evaluate EMPTY --ground-truth GT | report EMPTY
         map EMPTY | truth propose EMPTY | overlay LOG EMPTY -o o.mp4 | truth check GT EMPTY""",
     ("no truth", 2): """evaluate OUT | calibrate LOG -o m.toml | check CHECK""",
     ("a setting or a set that does not exist", 2): """run LOG --set a.b=1 | check CHECK --set a.b=1
@@ -141,18 +125,12 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     assert sonarrec(name, SAMPLE, code=130).stderr == "sonarrec: stopped\n"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "run LOCKED/pan.mcap",
-        "info LOCKED/pan.mcap",
-        "report LOCKED/out",
-        "overlay LOCKED/pan.mcap -o o",
-        "map LOCKED/out",
-        "calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml",
-        "truth check GT LOCKED/pan.mcap",
-    ],
-)
+LOCKED = """run LOCKED/pan.mcap | info LOCKED/pan.mcap | report LOCKED/out | map LOCKED/out
+overlay LOCKED/pan.mcap -o o | calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml
+truth check GT LOCKED/pan.mcap"""
+
+
+@pytest.mark.parametrize("words", re.split(r" \| |\n", LOCKED))
 def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
     with locked(tmp_path / "locked") as folder:
         done = run_words(words, 1, LOCKED=folder)
@@ -162,13 +140,13 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
 
 
 def test_the_bar_counts_the_frames_of_a_log_or_the_logs(tmp_path: Path) -> None:
-    logs = [*map(str, made(tmp_path, "one", "two", frames=40))]
+    logs = [*map(str, made(tmp_path, "one", "two", frames=12))]
     shown = on_a_terminal("run", "-j", "1", *logs, "-o", "out", cwd=tmp_path)
     assert b"/2 [" in shown
     assert b"log/s" in shown or b"s/log" in shown
     shown = on_a_terminal("run", logs[0], "-o", "other", cwd=tmp_path)
     assert b"one:" in shown
-    assert b"/40 [" in shown
+    assert b"/12 [" in shown
 
 
 def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
@@ -182,7 +160,9 @@ def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
     assert len(numbers(tmp_path / "y" / "dive")) == 6
     first.rename(tmp_path / "renamed")
     sonarrec("run", "-q", tmp_path / "renamed", *again, tmp_path / "z")
-    assert numbers(tmp_path / "z" / "renamed") == [1, 2]
+    sonarrec("run", "-q", tmp_path / "renamed" / "*.png", *again, tmp_path / "glob")
+    assert numbers(tmp_path / "z" / "renamed") == numbers(tmp_path / "glob" / "renamed") == [1, 2]
+    assert numbers(run(second, tmp_path / "python", frames=(4, None)).folder) == [4, 5]
 
 
 def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path: Path) -> None:
