@@ -66,9 +66,9 @@ def test_names_of_different_places_are_different_and_begin_alike(places: list[Pa
 
 
 def test_what_nothing_tells_apart_is_refused() -> None:
-    with pytest.raises(UsageError, match="go to pan"):
+    with pytest.raises(UsageError, match="pan"):
         folder_names([("pan", Path("/x/pan")), ("pan", Path("/x/pan.mcap"))])
-    with pytest.raises(UsageError, match="/x/pan: given 2 times; name"):
+    with pytest.raises(UsageError, match=r"/x/pan: .* 2 "):
         folder_names([("pan", Path("/x/pan")), ("a", Path("/x/a")), ("pan", Path("/x/pan"))])
 
 
@@ -159,11 +159,11 @@ def test_a_stopped_run_leaves_its_part_and_the_old_results(
     out = tmp_path / "out"
     sonarrec("run", "-q", short(tmp_path, "dive"), "-o", out)
     old = (out / "dive" / "estimates.csv").read_bytes()
-    process = subprocess.Popen(
-        command("run", "-q", log, "-o", out, "--overwrite"), stderr=subprocess.PIPE, text=True
-    )
+    again = command("run", "-q", log, "-o", out, "--overwrite")
+    process = subprocess.Popen(again, stderr=subprocess.PIPE, text=True)
     part = part_of(out / "dive")
-    until(lambda: (part / "frames.csv").is_file() and len(frames_now(part)) > 4)
+    table = part / "frames.csv"
+    until(lambda: table.is_file() and table.read_bytes().count(b"\n") > 5)
     process.send_signal(number)
     _, told = process.communicate(timeout=300)
     assert process.returncode == code, told
@@ -274,10 +274,6 @@ def test_a_full_disk_is_one_line_and_costs_no_frame(log: Path, tmp_path: Path, s
         assert 0 < len(frames(part)) < FRAMES
         assert f"the {len(frames(part))} frames before" in line
         assert not finished(part)
-
-
-def frames_now(folder: Path) -> list[str]:
-    return (folder / "frames.csv").read_text().splitlines()[1:]
 
 
 def test_a_file_in_the_place_of_results_is_refused(log: Path, tmp_path: Path) -> None:
