@@ -25,16 +25,6 @@ def results_of(folder: Path, count: int, frames: int, *, trouble: bool, code: in
     return out
 
 
-def test_nine_logs_where_they_lie(tmp_path: Path) -> None:
-    """One more than have panels."""
-    out = results_of(tmp_path, MOST_LOGS + 1, 2, trouble=False)
-    assert sonarrec("report", out).stderr == ""
-    names = sorted(row[0] for row in Page(out / "report.html").named["All logs"][2:])
-    assert names == [f"dive{n:02}" for n in range(1, MOST_LOGS + 2)]
-    text = (out / "report.html").read_text(encoding="utf-8")
-    assert len(re.findall(r"<h3>(dive\d\d)</h3>", text)) == MOST_LOGS
-
-
 def test_one_of_two_lacks_truth(tmp_path: Path) -> None:
     """The other one is scored, and the page says so. One truth beside both that names none of
     them is told, too."""
@@ -45,9 +35,8 @@ def test_one_of_two_lacks_truth(tmp_path: Path) -> None:
     told = sonarrec("report", out, code=3)
     assert "dive02: no ground" in told.stderr
     page = Page(out / "report.html")
-    assert "2 recorded sonar logs, 1 of them scored against gt.csv" in page.text
-    assert "1 of 2 logs scored" in page.text
-    assert "1 without ground truth" in page.text
+    for fact in ("1 of them scored against gt.csv", "1 of 2 logs", "1 without ground truth"):
+        assert fact in page.text
     scored, other, note = page.named["All logs"][2:]
     assert scored[0] == "dive01"
     assert float(scored[3]) > 0.5
@@ -81,10 +70,9 @@ def test_twenty_logs_are_listed_the_worst_first(camp: Path) -> None:
     rows = page.named["All logs"][2:]
     assert [row[:2] for row in rows if len(row) > 1][:2] == [[BROKEN, "failed"], [WORST, "done"]]
     assert "unreadable image" in rows[1][0]
-    assert rows[-4:] == [
-        *([OTHER_SET, "done", "12", *["-"] * 7], ["another landmark set"]),
-        *([WITHOUT_TRUTH, "done", "12", *["-"] * 7], ["no ground truth"]),
-    ]
+    unscored = ["done", "12", *["-"] * 7]
+    assert rows[-4::2] == [[OTHER_SET, *unscored], [WITHOUT_TRUTH, *unscored]]
+    assert rows[-3::2] == [["another landmark set"], ["no ground truth"]]
     assert len({row[0] for row in rows if len(row) > 1}) == 20
     good = [float(row[3]) - float(row[4]) for row in rows if row[3:] and row[3] != "-"]
     assert good == sorted(good)
@@ -108,9 +96,7 @@ def test_equal_mistakes_are_one_line_and_frames_can_be_known(camp: Path) -> None
     assert len({row[2] for row in rows}) == len(rows)
     mistakes = page.text[page.text.index("Mistakes, the longest first\n") :]
     pictured = re.findall(r"(dive\d\d), frame\s+(\d+):\s+(.*)", mistakes.partition("smi: ")[0])
-    assert (WORST, "ID.3 in view and not declared: nothing found there.") in {
-        (log, what) for log, _, what in pictured
-    }
+    assert any(log == WORST and what.startswith("ID.3 in view") for log, _, what in pictured)
     assert all(number != "0" for _, number, _ in pictured)
     total = found.count("framework", "strict")
     assert re.search(rf"framework: {total.fp} false claims?, {total.fn} missed", page.text)
@@ -171,9 +157,8 @@ def test_a_results_folder_that_cannot_be_read_costs_itself(camp: Path, tmp_path:
         own = camp.parent / "camp" / f"dive{n:02d}" / "gt.csv"
         lines += [f"dive{n:02d},{','.join(list(r.values())[:4])}" for r in read_rows(own)]
     truth.write_text("\n".join(lines) + "\n")
-    told = sonarrec(
-        "report", out, "--ground-truth", truth, "-o", tmp_path / "x.html", code=3
-    ).stderr
+    page = tmp_path / "x.html"
+    told = sonarrec("report", out, "--ground-truth", truth, "-o", page, code=3).stderr
     assert "estimates.csv: wrong" in told
-    rows = Page(tmp_path / "x.html").named["All logs"]
+    rows = Page(page).named["All logs"]
     assert ["dive20", "done"] in [row[:2] for row in rows]

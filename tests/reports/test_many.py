@@ -24,6 +24,10 @@ def section(text: str, name: str) -> str:
     return text[text.index(f'<section id="{name}"') :].partition("</section>")[0]
 
 
+def panels(text: str) -> int:
+    return len(re.findall(r"<h3>log\d+</h3>", section(text, "panels")))
+
+
 @pytest.mark.slow
 def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path: Path) -> None:
     """Without truth as well; then the logs that have no panel are not read."""
@@ -36,7 +40,7 @@ def test_some_have_panels_the_figures_are_of_all_and_the_page_is_small(tmp_path:
     page, bare = tmp_path / "page.html", tmp_path / "bare.html"
     sonarrec("report", made / "out", "--ground-truth", gt, "-o", page)
     text = page.read_text(encoding="utf-8")
-    assert len(re.findall(r"<h3>(log\d{4})</h3>", section(text, "panels"))) == MOST_LOGS
+    assert panels(text) == MOST_LOGS
     listed = section(text, "logs").partition("<details>")
     rows = [part.count('<tr><th scope="row" class="text">') for part in listed]
     assert rows == [ROWS_OPEN, 0, MANY - ROWS_OPEN]
@@ -69,9 +73,8 @@ def test_the_page_of_many_logs_begins_with_a_line_on_all(tmp_path: Path) -> None
     report(out, page := tmp_path / "page.html", ground_truth=tmp_path / "gt.csv")
     text = page.read_text(encoding="utf-8")
     line = text[text.index('class="headline"') :].partition("</p>")[0]
-    assert "2 of 2 logs scored" in line
-    assert "TPR 0.500" in line
-    assert "1.25 false claims in 100 frames" in line  # one in 80
+    for fact in ("2 of 2 logs", "TPR 0.500", "1.25 false claims"):  # one in 80 frames
+        assert fact in line
     assert "<h3>framework" in section(text, "mistakes")
     assert "<h3>smi" not in section(text, "mistakes")
 
@@ -89,9 +92,10 @@ def test_mistakes_are_told_as_all_logs_are_scored(tmp_path: Path) -> None:
     found = evaluate_logs(out, tmp_path / "gt.csv").counts
     count = found.count("framework", "paper")
     assert (count.fp, count.fn) == (MOST_LOGS, 0)
-    page = tmp_path / "page.html"
-    report(out, page, ground_truth=tmp_path / "gt.csv")
-    told = section(page.read_text(encoding="utf-8"), "mistakes")
+    report(out, page := tmp_path / "page.html", ground_truth=tmp_path / "gt.csv")
+    text = page.read_text(encoding="utf-8")
+    assert panels(text) == MOST_LOGS
+    told = section(text, "mistakes")
     assert f"framework: {MOST_LOGS} false claims, 0 missed" in told
     assert told.count("ID.2 declared (0.80) while") == 1
     assert f"<summary>{MOST_LOGS} logs</summary>" in told

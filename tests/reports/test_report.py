@@ -7,7 +7,6 @@ import hashlib
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -125,8 +124,7 @@ def test_the_page_says_what_was_assumed_and_what_the_methods_are(
 
 def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
     page = Page(pages["bare"])
-    assert "ground truth" in page.text
-    assert "(--log)" in page.text
+    assert "--log" in page.text
     assert "TPR" not in page.text
     assert not [name for name, _ in page.elements if name == "img"]
     seen = page.tables[PASSES]
@@ -150,11 +148,8 @@ def test_results_of_another_program(tmp_path: Path) -> None:
     truth = ("--ground-truth", tmp_path / "gt.csv", "--min-visible", "0.995")
     sonarrec("report", tmp_path, *truth)
     page = Page(tmp_path / "report.html")
-    assert "in view (at least 99.5% of it)" in page.text
-    assert "least 99.5%" in page.text
-    assert "ID.1 declared (0.90) while" in page.text
-    assert "ID.1 in view" in page.text
-    assert "run.toml" in page.text
+    for fact in ("least 99.5%", "ID.1 declared (0.90)", "ID.1 in view", "run.toml"):
+        assert fact in page.text
 
 
 ROW = "{},{},1,2.0,0.0,.9,.05,.05,0,0,1,.9,1"
@@ -163,10 +158,7 @@ ODD_RESULTS: dict[str, tuple[list[tuple[int, int]], list[str]]] = {
     "one frame": ([(7, 5)], [ROW.format(7, "framework")]),
     "single-frame method only": ([(0, 5), (1, 9)], [ROW.format(1, "smi")]),
     "times that fall": ([(0, 9), (1, 5)], [ROW.format(1, "framework")]),
-    "one estimate in a gap": (
-        [(n, n) for n in (0, 1, 50)],
-        [ROW.format(n, "framework") for n in (0, 50)],
-    ),
+    "a gap": ([(n, n) for n in (0, 1, 50)], [ROW.format(n, "framework") for n in (0, 50)]),
 }
 
 
@@ -207,17 +199,11 @@ def test_several_logs(results: Path, tmp_path: Path) -> None:
     assert (first[:3], second[:3]) == (["first", "done", "128"], ["pan", "done", "128"])
     assert first[3:] == second[3:]
     found = all_scored(evaluate(results, SAMPLE / "gt.csv").counts)
-    leading, other = (s.count() for s in found if s.protocol == "strict")
-    assert first[3:7] == [*rates(leading), str(leading.fn), str(leading.fp)]
-    assert float(first[7]) == pytest.approx(100 * leading.fp / 256, abs=0.005)
-    assert first[8:] == rates(other)
+    one, other = (s.count() for s in found if s.protocol == "strict")
+    rates, others = ([f"{c.tpr:.4f}", f"{c.fpr:.4f}"] for c in (one, other))
+    assert first[3:] == [*rates, str(one.fn), str(one.fp), first[7], *others]
+    assert float(first[7]) == pytest.approx(100 * one.fp / 256, abs=0.005)
     assert [name for name, _ in page.elements].count("img") == 3  # mistakes of the first method
-    other = sonarrec("report", root, "--log", tmp_path, code=2)
-    assert "these logs" in other.stderr
-
-
-def rates(count: Any) -> list[str]:
-    return [f"{count.tpr:.4f}", f"{count.fpr:.4f}"]
 
 
 def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path: Path) -> None:
