@@ -192,35 +192,3 @@ def test_p_value_by_enumeration() -> None:
     all_ways = [abs(difference(s)) >= abs(seen_one) - 1e-12 for s in product((0, 1), repeat=7)]
     assert found.value_b - found.value_a == pytest.approx(seen_one)
     assert found.p == pytest.approx(np.mean(all_ways))
-
-
-@pytest.mark.slow
-def test_null_simulation_of_every_figure() -> None:
-    """The whole way from claims to p: rates and points of curves of two equal methods.
-
-    Scores wander slowly along a pass, false claims come in bursts. In 120 cases more than
-    .05 + 3 standard errors (.02 each) would be 13.
-    """
-    rng = np.random.default_rng(9)
-    cases, passes, length, gap = 120, 10, 20, 15
-    rejected = dict.fromkeys(RATES, 0)
-    for _ in range(cases):
-        truth, claims = [], []
-        for i in range(passes):
-            first = i * (length + gap)
-            truth += seen(1, first, first + length - 1)
-            for m in (0, 1):
-                level = np.repeat(rng.normal(0.65, 0.15, 7), 5)  # of a fifth of a pass each
-                points = np.clip(level + rng.normal(0, 0.02, 35), 0, 1)
-                points[length:] -= 0.3
-                claims += [
-                    (m, first + f, 1, 0, 0, s, s > 0.6)
-                    for f, s in enumerate(points.tolist())
-                    if s > 0
-                ]
-        case = counts(matched(passes * (length + gap), truth, claims))
-        a, b = (rate_samples(case, "strict", m)[-1] for m in "ab")
-        weights, tosses = bootstrap_weights(passes, rng, 10), coin_tosses(passes, rng)
-        for found in differences(a, b, weights, tosses):
-            rejected[found.figure] += found.p <= 0.05
-    assert max(rejected.values()) <= 13, rejected

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation.rows import PROTOCOLS
 from sonarrec.reports import screen
-from tests.support.claims import all_scored, evaluate
+from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, as_written, tables, without_log
 from tests.support.rows import read_rows, write_rows
@@ -180,30 +180,6 @@ def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
     assert isinstance(result.exception, SystemExit | None), result.exception
     for _, attributes in Page(tmp_path / "report.html").elements:
         assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
-
-
-@pytest.mark.slow
-def test_several_logs(results: Path, tmp_path: Path) -> None:
-    root = tmp_path / "out"
-    for name in ("first", "pan"):
-        shutil.copytree(results, root / name)
-    run = root / "first" / "run.toml"  # as if of another recording: one counts once
-    run.write_text(re.sub('sha256 = "[0-9a-f]*"', f'sha256 = "{"0" * 64}"', run.read_text()))
-    head, *rows = (SAMPLE / "gt.csv").read_text().splitlines()
-    lines = [f"log,{head}", *(f"{name},{row}" for name in ("first", "pan") for row in rows)]
-    (tmp_path / "gt.csv").write_text("\n".join(lines) + "\n")
-    sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
-    page = Page(root / "report.html")
-    assert "2 recorded sonar" in page.text
-    first, second = page.named["All logs"][2:]
-    assert (first[:3], second[:3]) == (["first", "done", "128"], ["pan", "done", "128"])
-    assert first[3:] == second[3:]
-    found = all_scored(evaluate(results, SAMPLE / "gt.csv").counts)
-    one, other = (s.count() for s in found if s.protocol == "strict")
-    rates, others = ([f"{c.tpr:.4f}", f"{c.fpr:.4f}"] for c in (one, other))
-    assert first[3:] == [*rates, str(one.fn), str(one.fp), first[7], *others]
-    assert float(first[7]) == pytest.approx(100 * one.fp / 256, abs=0.005)
-    assert [name for name, _ in page.elements].count("img") == 3  # mistakes of the first method
 
 
 def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path: Path) -> None:
