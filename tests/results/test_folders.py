@@ -27,7 +27,7 @@ from sonarrec.results.folders import exchange, folder_names, part_of, restore
 from sonarrec.results.read import find_logs
 from sonarrec.results.sightings import read_sightings
 from sonarrec.results.write import AT_ONCE
-from tests.support.batch import SAMPLE, command, environment, made, until
+from tests.support.batch import SAMPLE, command, made, until
 from tests.support.command import sonarrec
 from tests.support.locked import locked
 from tests.support.logs import cdr_image, mcap_file
@@ -204,25 +204,6 @@ def test_a_link_in_place_of_the_lock_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "out" / ".pan.lock").symlink_to(tmp_path / "mine")
     sonarrec("run", "-q", SAMPLE, "--frames", ":2", "-o", tmp_path / "out", code=1)
     assert (tmp_path / "mine").read_text() == "mine"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_results_that_wait_to_be_revised_are_kept(log: Path, tmp_path: Path, number: int) -> None:
-    """`offline` waits for 240 frames, more than the log has: none is out before the end."""
-    many = tmp_path / "slow"
-    many.mkdir()
-    shutil.copy(log / "sonar.toml", many)
-    for i in range(100):
-        (many / f"{i:06d}.png").symlink_to(log / f"{i % FRAMES:06d}.png")
-    call = command("run", "-q", many, "-o", tmp_path / "out", "--preset", "offline")
-    process = subprocess.Popen(call, env=environment(tmp_path))
-    until((tmp_path / "slow.waits").is_file, process)
-    process.send_signal(number)
-    assert process.wait(timeout=300) == 128 + number
-    kept = frames(part_of(tmp_path / "out" / "slow"))
-    assert kept == list(range(len(kept)))
-    assert 4 < len(kept) < 100
 
 
 @pytest.mark.slow

@@ -7,8 +7,6 @@ import re
 import stat
 import subprocess
 import sys
-from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -21,13 +19,6 @@ pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
 LOGS = ("a", "b", "c", "d")
-
-
-def recipe(beginning: str) -> str:
-    """The block of the page that has a line beginning so, as it would be in a file."""
-    text = "\n".join(code_lines(PAGES["run"]))
-    (found,) = [b for b in re.split(r"\n\n+", text) if re.search(f"(?m)^{beginning}", b)]
-    return found + "\n"
 
 
 @pytest.fixture
@@ -47,32 +38,23 @@ def shared(tmp_path: Path) -> Path:
     return place
 
 
-def printed(words: Sequence[str], cwd: Path, **environment: object) -> str:
-    """What a recipe prints; it has to end well."""
-    path = os.pathsep.join(
-        [*(f"{at}/bin" for at in (cwd, cwd.parent)), str(BIN), os.environ["PATH"]]
-    )
-    env = os.environ | {"PATH": path} | {name: str(v) for name, v in environment.items()}
-    done = subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def assert_once(shares: Sequence[str], out: Path) -> None:
-    """Every log is done, by one of the shares, of which none had nothing to do."""
-    done = [re.findall(r"(?m)^(?:.*results/)?(\w)(?: +3 |: 3 frames)", text) for text in shares]
-    assert Counter(name for share in done for name in share) == Counter(LOGS)
-    assert all(done)
-    assert {name: row["status"] for name, row in rows(out).items()} == dict.fromkeys(LOGS, "done")
-
-
 def test_a_slurm_array(shared: Path) -> None:
-    script = shared / "job.sh"
-    script.write_text(recipe("#SBATCH"))
-    given = {"SLURM_ARRAY_TASK_COUNT": 2, "SLURM_CPUS_PER_TASK": 1, "SCRATCH": shared}
+    """Every log is done, by one of the tasks, of which none had nothing to do."""
+    blocks = re.split(r"\n\n+", "\n".join(code_lines(PAGES["run"])))
+    [script] = (block for block in blocks if re.search("(?m)^#SBATCH", block))
+    (shared / "job.sh").write_text(f"{script}\n")
+    given = {"SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1", "SCRATCH": str(shared)}
+    given["PATH"] = os.pathsep.join([f"{shared.parent}/bin", str(BIN), os.environ["PATH"]])
 
     def task(number: int) -> str:
-        return printed(["sh", str(script)], shared, SLURM_ARRAY_TASK_ID=number, **given)
+        env = os.environ | given | {"SLURM_ARRAY_TASK_ID": str(number)}
+        return subprocess.run(
+            ["sh", "job.sh"], cwd=shared, env=env, capture_output=True, text=True, check=True
+        ).stdout
 
-    assert_once([task(number) for number in (1, 2)], shared / "results")
+    done = [re.findall(r"(?m)^(?:.*results/)?(\w)(?: +3 |: 3 frames)", task(n)) for n in (1, 2)]
+    assert sorted(done[0] + done[1]) == [*LOGS]
+    assert all(done)
+    status = {name: row["status"] for name, row in rows(shared / "results").items()}
+    assert status == dict.fromkeys(LOGS, "done")
     assert "2 up" in task(1)
