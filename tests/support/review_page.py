@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,7 @@ from selenium.webdriver.common.keys import Keys
 
 from tests.support.browser import look
 
-ENTER = "\ue007"
 SHIFT = "\ue008"
-Truth = dict[int, dict[int, tuple[float, float, float]]]
-"""By ID and frame: the pixel, and the share in view."""
 
 
 class Page:
@@ -112,65 +108,3 @@ class Page:
                     return file
             time.sleep(0.02)
         raise AssertionError(self.text("say"))
-
-
-class Labeller:
-    """A person who knows the truth and decides on every pass, by keys and clicks."""
-
-    def __init__(self, page: Page, truth: Truth) -> None:
-        self.page, self.truth = page, truth
-
-    def go(self, frame: int) -> None:
-        """By the arrows if few steps do, else by a click on the bar of frames."""
-        now = int(self.page.browser.execute_script("return now"))
-        if abs(frame - now) > 6:
-            self.page.strip(frame)
-        self.page.go(frame)
-
-    def work(self) -> None:
-        script = "const p = current(); return p && [p.landmark, p.state, p.rows]"
-        while True:
-            found = self.page.browser.execute_script(script)
-            if found is None or found[1] != "open":
-                break
-            self.decide(found[0], found[2])
-        for landmark in self.truth:
-            while (frame := self.missing(landmark)) is not None:
-                self.draw(landmark, frame)
-
-    def decide(self, landmark: int, rows: list[dict[str, Any]]) -> None:
-        votes = Counter(self.nearest(row) for row in rows)
-        true, number = votes.most_common(1)[0]
-        if true is None or number < len(rows) / 2:
-            self.page.press("r")
-            return
-        seen = self.truth[true]
-        for key, end, by in (("b", rows[0]["frame"], -1), ("e", rows[-1]["frame"], 1)):
-            if seen.get(end + by, (0, 0, 0))[2] > 0:
-                self.page.press(SHIFT, key)
-        self.page.press("a" if true == landmark else str(true))
-
-    def nearest(self, row: dict[str, Any]) -> int | None:
-        for landmark, seen in self.truth.items():
-            x, y, _ = seen.get(row["frame"], (-99, -99, 0))
-            if abs(x - row["x"]) + abs(y - row["y"]) < 12:
-                return landmark
-        return None
-
-    def missing(self, landmark: int) -> int | None:
-        """The middle of the frames, to where it leaves the view, in which nothing is accepted."""
-        script = """return passes.filter(p => p.landmark === arguments[0] && p.state === 'accepted')
-          .flatMap(p => p.rows.map(r => r.frame))"""
-        has = set(self.page.browser.execute_script(script, landmark))
-        whole = [n for n, of in self.truth[landmark].items() if of[2] >= 0.9]
-        left = [n for n in whole if n not in has]
-        run = [n for k, n in enumerate(left) if n - left[0] == k]
-        return run[len(run) // 2] if run else None
-
-    def draw(self, landmark: int, frame: int) -> None:
-        self.go(frame)
-        self.page.press("n", str(landmark))
-        self.page.pointer(*self.truth[landmark][frame][:2])
-        self.page.press(SHIFT, "b")
-        self.page.press(SHIFT, "e")
-        self.page.press(ENTER)
