@@ -15,7 +15,7 @@ from sonarrec.evaluation.write import write_evaluation
 from tests.evaluation.test_evaluation import write_case
 from tests.support.claims import all_scored
 from tests.support.command import sonarrec
-from tests.support.made_up import make_logs, make_sides
+from tests.support.made_up import make_logs
 from tests.support.rows import read_rows
 from tests.support.slow import but_first
 
@@ -33,13 +33,15 @@ BROKEN = {
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: str) -> None:
     """The first of three, of either side where two are compared: tables are as without it. If none
     can be read it is one line. One fault is found in another process."""
-    old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
+    pairs = make_logs(tmp_path / "made", 3, 50, 2)
+    old, new = (pairs.with_name(name) for name in ("out", "new"))
+    shutil.copytree(old, new, symlinks=True)
     words = ["evaluate", "--pairs", pairs, "-q"]
     words += ["--compare", old, new] if side else []
     text, told = BROKEN[name]
 
     def spoil(n: int) -> str:
-        folder = pairs.parent / (side or "out") / f"log000{n}"
+        folder = pairs.with_name(side or "out") / f"log000{n}"
         (folder / name).unlink()
         (folder / name).write_text(text, encoding="utf-8")
         return f"sonarrec: {folder}{os.sep}{told}"

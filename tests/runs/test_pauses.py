@@ -14,7 +14,6 @@ import pytest
 
 from sonarrec import evaluate
 from sonarrec.advice.rows import check_truth
-from sonarrec.api.run import run
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays import overlay as overlays
@@ -310,24 +309,6 @@ def test_a_clock_that_was_set_back_ends_tracks_whichever_names_the_frames(tmp_pa
         sonarrec("run", log, "--time", clock, "-o", out, "--overwrite")
         rows = read_rows(out / "dive" / "frames.csv")
         assert [r["frame"] for r in rows if not r["dyaw_deg"]] == ["0", "12"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("hole_s", "wrong"), [(30.0, range(1)), (0.25, range(40, 99))])
-def test_a_pause_that_only_header_stamps_show(hole_s: float, wrong: range, tmp_path: Path) -> None:
-    """Other discs lie in the same places afterwards."""
-    images = [frame.image for scene in parts(60, 2) for frame in render(scene)]
-    stamps = [START_NS + n * PERIOD_NS + (n >= 60) * round(hole_s * 1e9) for n in range(120)]
-    sent = [
-        ("/sonar", n * PERIOD_NS, cdr_image(image, stamp=divmod(stamp, 10**9)))
-        for n, (image, stamp) in enumerate(zip(images, stamps, strict=True))
-    ]
-    log, out = mcap_file(tmp_path / "dive.mcap", sent), tmp_path / "out"
-    like = paused(tmp_path / "like.mcap", 5.0)  # for its geometry and truth
-    for name in ("sonar.toml", "gt.csv"):
-        like.with_name(f"like.{name}").rename(log.with_name(f"dive.{name}"))
-    run(log, out)
-    assert evaluate(out / "dive").counts.count("framework", "strict").fp in wrong
 
 
 @pytest.mark.parametrize(("named", "pauses"), [(True, 1), (False, 0)])
