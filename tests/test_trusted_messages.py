@@ -57,14 +57,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture(scope="module")
-def pan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the sample log."""
-    out = tmp_path_factory.mktemp("results")
-    sonarrec("run", SAMPLE, "-q", "-o", out)
-    return out / "pan"
-
-
 def nothing_in(image: Path) -> None:
     """Make an image in which there is nothing to recognise."""
     shape = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE).shape  # type: ignore[union-attr]

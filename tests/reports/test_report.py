@@ -23,9 +23,9 @@ from tests.support.rows import read_rows, write_rows
 PASSES = "Declared by framework, a row per pass, in order of first sight"
 
 
-def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> None:
-    sonarrec("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q")
-    confusion = read_rows(results / "evaluation" / "confusion.csv")
+def test_tables_are_the_evaluations(pages: dict[str, Path], pan: Path) -> None:
+    sonarrec("evaluate", pan, "--ground-truth", SAMPLE / "gt.csv", "-q")
+    confusion = read_rows(pan / "evaluation" / "confusion.csv")
     page = Page(pages["full"])
     for method in ("smi", "framework"):
         for protocol in PROTOCOLS:
@@ -41,8 +41,8 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
                         assert cell == "0.0000*"
 
 
-def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None:
-    found, page = evaluate(results, SAMPLE / "gt.csv").summary, Page(pages["full"])
+def test_figures_are_the_summarys(pages: dict[str, Path], pan: Path) -> None:
+    found, page = evaluate(pan, SAMPLE / "gt.csv").summary, Page(pages["full"])
     assert all(note in page.text for note in found.notes)
     for method in ("smi", "framework"):
         for name, digits in (("auc", 3), ("ece", 3), ("position_error_95_m", 4)):
@@ -54,10 +54,10 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
             assert told in re.sub(r"\s+", "", page.text)
 
 
-def test_false_claims_are_told_per_100_frames(pages: dict[str, Path], results: Path) -> None:
+def test_false_claims_are_told_per_100_frames(pages: dict[str, Path], pan: Path) -> None:
     """Of each method, protocol strict first; so many are the frames of its results."""
-    frames = len(read_rows(results / "frames.csv"))
-    counts = evaluate(results, SAMPLE / "gt.csv").counts
+    frames = len(read_rows(pan / "frames.csv"))
+    counts = evaluate(pan, SAMPLE / "gt.csv").counts
     rows = next(
         rows for caption, rows in Page(pages["full"]).tables.items() if "per 100" in caption
     )
@@ -98,17 +98,15 @@ def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
         assert (kinds.count("img") > 6) == (name == "full")
 
 
-def test_the_page_says_what_was_assumed_and_what_the_methods_are(
-    results: Path, tmp_path: Path
-) -> None:
-    shutil.copytree(results, tmp_path / "pan")
+def test_the_page_says_what_was_assumed_and_what_the_methods_are(pan: Path, tmp_path: Path) -> None:
+    shutil.copytree(pan, tmp_path / "pan")
     run = tmp_path / "pan" / "run.toml"
     for height, tilt, expected in (
         (True, True, ("20 deg", "0.68 m")),
         (True, False, ("15.78 deg assumed", "0.68 m")),
         (False, True, ("20 deg", "0.855 m assumed")),
     ):
-        text = (results / "run.toml").read_text()
+        text = (pan / "run.toml").read_text()
         text = re.sub("^(path|place) = .*\n", "", text, flags=re.MULTILINE)  # so without pictures
         for key, stated in (("height_m", height), ("tilt_deg", tilt)):
             text = text if stated else re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
@@ -182,9 +180,9 @@ def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
         assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
 
 
-def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path: Path) -> None:
+def test_of_logs_of_different_landmark_sets_one_is_shown(pan: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        without_log(results, tmp_path / name)
+        without_log(pan, tmp_path / name)
     run = tmp_path / "b" / "run.toml"
     run.write_text(run.read_text().replace("id = 2\n", "id = 7\n"))
     estimates = tmp_path / "b" / "estimates.csv"
@@ -197,11 +195,11 @@ def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path
 
 
 @pytest.mark.slow
-def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
+def test_a_false_claim_is_called_one(pan: Path, tmp_path: Path) -> None:
     """Under an ID that lies nowhere: the picture says so. Of alike scores the true one is shown."""
-    shutil.copytree(results, tmp_path / "pan")
+    shutil.copytree(pan, tmp_path / "pan")
     (tmp_path / "pan" / "sightings.csv").unlink()
-    rows = read_rows(results / "estimates.csv")
+    rows = read_rows(pan / "estimates.csv")
     for row in rows:  # the first of all sightings is false, and as sure as any
         if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "4":
             row |= {"declared": "1", "landmark": "1", "score": "1.0"}

@@ -61,12 +61,12 @@ ONE, THREE = TRUTH[1], TRUTH[3]
 
 
 @pytest.fixture(scope="module")
-def ran(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ran(pan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log called dive, without truth, and its results."""
     folder = tmp_path_factory.mktemp("ran")
     shutil.copytree(SAMPLE, folder / "dive", ignore=shutil.ignore_patterns("gt.csv"))
     ours = shutil.ignore_patterns("evaluation", "*.html")  # what other tests make of them
-    shutil.copytree(results, folder / "out" / "dive", ignore=ours)
+    shutil.copytree(pan, folder / "out" / "dive", ignore=ours)
     return folder
 
 
