@@ -1,4 +1,4 @@
-"""Where stretches begin: made-up clocks, and what must hold for any."""
+"""Where stretches begin: made-up clocks, and what must hold for any; times as text."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.sonar.frame import Clock, Stamps
+from sonarrec.sonar.frame import Clock, Stamps, date_text, is_date, time_text
 from sonarrec.stretches import Breaks, Rate, Stretches, duration, stretch_numbers
 
 START = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
+MAY = int(datetime(2024, 5, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
 HOUR, YEAR = 3600.0, 31_556_952.0
 RNG = np.random.default_rng(0)
 
@@ -235,3 +236,18 @@ def test_the_rate_is_that_of_the_median_step(steps: list[float], hz: float) -> N
 )
 def test_lengths_of_time(seconds: float, text: str) -> None:
     assert duration(round(seconds * 1e9)) == text
+
+
+@pytest.mark.parametrize(
+    ("rest_ns", "decimals", "end"), [(0, 0, ""), (999_999_999, 0, ""), (70_000_000, 2, ".07")]
+)
+def test_times_are_cut_never_rounded_up(rest_ns: int, decimals: int, end: str) -> None:
+    assert date_text(MAY + rest_ns, decimals) == f"2024-05-01 12:30:00{end}"
+    assert time_text(MAY + rest_ns, decimals) == f"12:30:00{end}"
+
+
+def test_the_clock_of_a_sonar_that_was_never_set_gives_no_dates() -> None:
+    since_1980 = int(datetime(1980, 1, 6, 3, tzinfo=UTC).timestamp()) * 10**9
+    assert is_date(MAY)
+    assert not is_date(since_1980)
+    assert not is_date(3_600 * 10**9)

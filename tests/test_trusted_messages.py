@@ -196,17 +196,6 @@ def test_columns_of_the_user_s_own_are_no_fault(here: Path, pan: Path) -> None:
     assert "no fault" in sonarrec("truth", "check", truth, SAMPLE).stdout
 
 
-def test_ids_are_written_in_truth_as_in_annotations(here: Path, pan: Path) -> None:
-    def labelled(row: Row) -> Row:
-        return {**row, "landmark": f"ID.{row['landmark']}"}
-
-    truth, scores = here / "gt.csv", []
-    for change in (dict, labelled):
-        changed(truth, SAMPLES / "pan.gt.csv", change)
-        scores.append(sonarrec("evaluate", pan, "--ground-truth", truth, "-o", "ev").stdout)
-    assert scores[0] == scores[1]
-
-
 def polar(row: Row) -> Row:
     return {key: row[key] for key in ("frame", "landmark", "range_m", "bearing_deg", "visible")}
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from sonarrec import config
 from tests.support.camp import OTHER_SET, make_camp
@@ -14,6 +18,7 @@ from tests.support.command import sonarrec
 from tests.support.slow import but_first
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
+PAGE = Path(__file__).resolve().parents[2] / "sonarrec" / "help" / "check.md"
 FILE = Path("sonarrec.check.toml")
 RECORD = Path("sonarrec.check")
 
@@ -271,3 +276,19 @@ def test_a_record_that_does_not_name_its_log_is_not_compared(repository: Path, t
     alone = sonarrec("check", code=4)
     assert "not compared" in alone.stderr
     assert alone.stdout == ""
+
+
+@pytest.mark.slow
+def test_the_steps_of_the_help_page_compare(repository: Path) -> None:
+    [workflow] = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (job,) = YAML(typ="safe").load(workflow)["jobs"].values()
+    steps = [step["run"] for step in job["steps"] if "run" in step]
+    assert [step.split()[:2] for step in steps] == [["pip", "install"], ["sonarrec", "check"]]
+    (kept,) = [s["with"] for s in job["steps"] if "upload-artifact" in s.get("uses", "")]
+    sonarrec("check", "--update")
+    paths = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    bash = ["bash", "-e", "-c", steps[1]]
+    done = subprocess.run(bash, env=os.environ | {"PATH": paths}, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.startswith(b"unchanged: TPR ")
+    assert (repository / kept["path"] / "faint" / "estimates.csv").is_file()

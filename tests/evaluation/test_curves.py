@@ -46,11 +46,11 @@ def test_areas_equal_scikit_learns(claimed: float, protocol: str) -> None:
         assert area(curve["fpr"], curve["tpr"]) == pytest.approx(auc, abs=1e-12)
         assert curve["threshold"][0] == math.inf
         # What roc.csv keeps draws the same curve, and few points nearly so.
-        at, few = corners(curve), corners(curve, most=40)
+        at, few = corners(curve), corners(curve, most=20)
         assert len(at) < len(curve["fpr"])
-        assert len(few) <= 42
+        assert len(few) <= 22
         assert area(at["fpr"], at["tpr"]) == pytest.approx(auc, abs=1e-12)
-        assert area(few["fpr"], few["tpr"]) == pytest.approx(auc, abs=0.03)
+        assert area(few["fpr"], few["tpr"]) == pytest.approx(auc, abs=0.05)
 
 
 @settings(max_examples=25)

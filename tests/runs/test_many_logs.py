@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -31,6 +33,10 @@ from tests.support.batch import (
 )
 from tests.support.camp import make_camp
 from tests.support.command import sample_log, sonarrec
+from tests.support.logs import cdr_image, frames, mcap_file
+from tests.test_docs import PAGES, code_lines
+
+BIN = Path(sys.executable).parent
 
 
 def states(out: Path) -> dict[str, str]:
@@ -287,10 +293,50 @@ def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_memory_of_a_run_does_not_grow_with_the_log(tmp_path: Path) -> None:
     peaks = []
-    for frames in (1000, 4000):
-        log = sample_log(tmp_path / str(frames), 0)
-        for n in range(frames):
+    for count in (1000, 4000):
+        log = sample_log(tmp_path / str(count), 0)
+        for n in range(count):
             (log / f"{n:06d}.png").symlink_to(SAMPLE / f"{n % 128:06d}.png")
         run = ["-m", "sonarrec", "run", str(log), "-q", "-o", str(tmp_path / "out")]
         peaks.append(peak_mb([sys.executable, *run]))
     assert peaks[1] < 1.05 * peaks[0]
+
+
+@pytest.fixture
+def shared(tmp_path: Path) -> Path:
+    """A folder that all machines see, with four logs in two folders and the program's .venv."""
+    place = tmp_path / "shared"
+    for n, name in enumerate("abcd"):
+        log = place / "dives" / str(n % 2) / f"{name}.mcap"
+        images = frames(3, seed=n)
+        mcap_file(log, [("/s", k * 10**8, cdr_image(image)) for k, image in enumerate(images)])
+    (place / ".venv").mkdir()
+    (place / ".venv" / "bin").symlink_to(BIN)
+    (tmp_path / "bin").mkdir()
+    srun = tmp_path / "bin" / "srun"
+    srun.write_text('#!/bin/sh\nexec "$@"\n')
+    srun.chmod(srun.stat().st_mode | stat.S_IXUSR)
+    return place
+
+
+@pytest.mark.slow
+def test_a_slurm_array(shared: Path) -> None:
+    """Every log is done, by one of the tasks, of which none had nothing to do."""
+    blocks = re.split(r"\n\n+", "\n".join(code_lines(PAGES["run"])))
+    [script] = (block for block in blocks if re.search("(?m)^#SBATCH", block))
+    (shared / "job.sh").write_text(f"{script}\n")
+    given = {"SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1", "SCRATCH": str(shared)}
+    given["PATH"] = os.pathsep.join([f"{shared.parent}/bin", str(BIN), os.environ["PATH"]])
+
+    def task(number: int) -> str:
+        env = os.environ | given | {"SLURM_ARRAY_TASK_ID": str(number)}
+        return subprocess.run(
+            ["sh", "job.sh"], cwd=shared, env=env, capture_output=True, text=True, check=True
+        ).stdout
+
+    done = [re.findall(r"(?m)^(?:.*results/)?(\w)(?: +3 |: 3 frames)", task(n)) for n in (1, 2)]
+    assert sorted(done[0] + done[1]) == [*"abcd"]
+    assert all(done)
+    status = {name: row["status"] for name, row in rows(shared / "results").items()}
+    assert status == dict.fromkeys("abcd", "done")
+    assert "2 up" in task(1)
