@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import product
 
 import numpy as np
@@ -92,14 +93,11 @@ def test_units_add_up_to_the_whole() -> None:
     for protocol in ("paper", "strict"):
         for k, of in enumerate(rate_samples(found, protocol, "a")):
             assert (of.per_unit >= 0).all()  # its own unit has it
-            summed = {n: of.figures(n, of.per_unit.sum(axis=0)[None])[0] for n in RATES}
-            exact = {n: of.value(n) for n in RATES}
-            assert summed["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
-            assert summed["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
-            # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
-            assert summed["auc"] == pytest.approx(exact["auc"], abs=0.01), k
-            for name in RATES[4:]:
-                assert summed[name] == pytest.approx(exact[name], abs=1e-6), name
+            for name in RATES:
+                summed = of.figures(name, of.per_unit.sum(axis=0)[None])[0]
+                # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
+                near = 0.01 if name == "auc" else 1e-6
+                assert summed == pytest.approx(of.value(name), abs=near), (name, k)
 
 
 def test_interval_is_widened_as_student() -> None:
@@ -159,12 +157,10 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     summary = summarise(two_passes)
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
     (note,) = summary.notes
-    assert "landmarks in 1 log are 2 independent units" in note
-    assert "about 2 more logs" in note
+    assert re.search("1 log are 2 independent .* 2 more logs", note)
     together = [*seen(1, 0, 9), *seen(2, 0, 9), *seen(3, 1, 9)]
     (note,) = summarise(counts(matched(40, together, []))).notes
-    assert "landmarks in 1 log are 1 independent unit" in note
-    assert "about 5 more logs" in note
+    assert re.search("1 log are 1 independent .* 5 more logs", note)
     assert over_units(two_passes.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"
