@@ -178,10 +178,10 @@ def test_frame_by_frame_is_what_a_run_writes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="needs frames"):
         list(sonarrec.Recogniser(fan).recognise())
     small, wide = frames[1].image[:-1], frames[1].image.astype(np.uint16)
-    for image, told in ((small, f"{fan.rows - 1}, "), (wide, "uint16, where the fan needs")):
+    for image, told in ((small, f"{fan.rows - 1}, "), (wide, "uint16")):
         with pytest.raises(UsageError, match=f"image of .*{told}"):
             list(sonarrec.Recogniser(fan).recognise([frames[0], replace(frames[1], pixels=image)]))
-    with pytest.raises(UsageError, match="frame 3 comes after"):
+    with pytest.raises(UsageError, match="frame 3"):
         list(sonarrec.Recogniser(fan).recognise([frames[3], frames[3]]))
 
 

@@ -485,9 +485,8 @@ def test_work_is_kept_and_offered(browser: Any, ran: Path, tmp_path: Path) -> No
     assert [state for *_, state in page.passes] == states
     kept = browser.execute_script("return localStorage.getItem(key)")
     assert len(kept) < 1000  # decisions, no rows
-    others = [(1, {}, 0.0), *swapped()[1:]]
-    page_of_others = review(with_tracks(ran, tmp_path / "again", others))
-    again = Page(browser, page_of_others, tmp_path, again=True)
+    others = with_tracks(ran, tmp_path / "again", [(1, {}, 0.0), *swapped()[1:]])
+    again = Page(browser, review(others), tmp_path, again=True)
     assert "2 decisions" in browser.find_element("id", "offer").text
     assert "1 decision" in again.text("say")
     assert "rejected" in {state for *_, state in again.passes}
