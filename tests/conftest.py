@@ -57,6 +57,16 @@ def _no_pictures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def pan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the sample log, to be read only but for what is made of them."""
+    from tests.support import command
+
+    out = tmp_path_factory.mktemp("results")
+    command.sonarrec("run", command.SAMPLE, "-q", "-o", out)
+    return out / "pan"
+
+
 @pytest.fixture
 def pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """`evaluate` and `map` draw, as users have it."""

@@ -63,8 +63,15 @@ def place(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize(("file", "words"), [(file, words) for file, *words in FILES])
+CASES = [
+    pytest.param(file, words, fault, marks=[pytest.mark.slow] * ((n + k) % 3 > 0))
+    for n, (file, *words) in enumerate(FILES)
+    for k, fault in enumerate(FAULTS)
+]
+"""One fault in each of the FILES is quick; of a kind of file the commands differ in theirs."""
+
+
+@pytest.mark.parametrize(("file", "words", "fault"), CASES)
 def test_a_fault_is_bad_usage(file: str, words: list[str], fault: str, place: Path) -> None:
     if file in ("dives/sonar.toml", "dives/pan.sonar.toml"):  # else that in the log is read
         (place / LOG / "sonar.toml").unlink()

@@ -44,12 +44,8 @@ def test_pattern_point_by_point() -> None:
             x = radius * math.cos(math.radians(degrees))
             y = radius * math.sin(math.radians(degrees))
             for k, sectors in enumerate(two.sectors):
-                if 0.8 <= radius <= 1.0:
-                    expected = 1
-                elif 0.1 <= radius <= 0.6:
-                    expected = sectors[degrees // 120]
-                else:
-                    expected = 0
+                expected = sectors[degrees // 120] if 0.1 <= radius <= 0.6 else 0
+                expected = 1 if 0.8 <= radius <= 1.0 else expected
                 assert two.pattern(k, np.array([x]), np.array([y]))[0] == expected
 
 
@@ -62,30 +58,24 @@ def test_an_angle_just_below_zero_stays_in_the_last_sector() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"radius": 3}, r"unknown key radius \(did you mean radius_m\?\)"),
-        ({"radius_m": "wide"}, "radius_m must be a number above 0, not 'wide'"),
-        ({"ring": [0.9, 0.8]}, "ring must be"),
-        ({"ring": [0.9, 1.1]}, "ring must be"),
-        ({"ring": 3}, "ring must be a list of 2, each a number from 0 to 1, not 3"),
-        ({"symbol": [-0.1, 0.5]}, "symbol must be"),
-        ({"symbol": [0.0, 0.9]}, "must end where the ring begins"),
+        ({"radius": 3}, r"radius \(.*radius_m"),
+        ({"radius_m": "wide"}, "radius_m .*above 0.* 'wide'"),
+        ({"ring": [0.9, 0.8]}, "ring must"),
+        ({"ring": [0.9, 1.1]}, "ring must"),
+        ({"ring": 3}, "ring must .* 2, .* 0 to 1"),
+        ({"symbol": [-0.1, 0.5]}, "symbol must"),
+        ({"symbol": [0.0, 0.9]}, "symbol .*ring"),
         ({"landmark": []}, "needs an id"),
-        ({"landmark": 3}, r"its own \[\[landmark\]\]"),
-        ({"landmark": [3]}, "1 must be a table of keys, not 3"),
+        ({"landmark": 3}, r"\[\[landmark\]\]"),
+        ({"landmark": [3]}, "1 must be a table"),
         ({"landmark": [{"id": 1}]}, "1 lacks sectors"),
         ({"landmark": [{"id": 1, "sectors": []}]}, "sectors must be"),
         ({"landmark": [{"id": 1, "sectors": [0, 2]}]}, "sectors must be"),
         ({"landmark": [{"id": [1], "sectors": [0, 1]}]}, "a whole number"),
         ({"landmark": [{"id": 1, "sectors": [1, 0], "colour": 3}]}, "colour"),
         ({"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 1, "sectors": [1, 1]}]}, "of its own"),
-        (
-            {"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2, "sectors": [1, 1, 0]}]},
-            "equally many",
-        ),
-        (
-            {"landmark": [{"id": 1, "sectors": [1, 0, 0]}, {"id": 2, "sectors": [0, 0, 1]}]},
-            "IDs 1 and 2 are the same pattern rotated",
-        ),
+        ({"landmark": [{"id": 1, "sectors": [1]}, {"id": 2, "sectors": [1, 1]}]}, "equally many"),
+        ({"landmark": [{"id": 1, "sectors": [1, 0]}, {"id": 2, "sectors": [0, 1]}]}, "1 and 2 are"),
     ],
 )
 def test_a_set_that_cannot_be_meant(change: dict[str, Any], says: str) -> None:

@@ -1,4 +1,5 @@
-"""Rates on the first frames of recordings that are not our simulator's, kept in tests/data."""
+"""Rates on recordings that are not our simulator's: on the first frames, kept in tests/data, and on
+all where these are at hand."""
 
 from __future__ import annotations
 
@@ -15,6 +16,8 @@ from tests.support.clip import family
 from tests.support.rows import read_rows
 
 DATA = Path(__file__).parent / "data"
+FIELD = Path(__file__).parents[2] / "shared" / "data"
+needs_field_data = pytest.mark.skipif(not FIELD.is_dir(), reason=f"{FIELD} not found")
 
 
 @pytest.mark.parametrize(
@@ -53,6 +56,32 @@ def test_a_real_tag_is_claimed_where_it_is() -> None:
         if abs(_polar(e.range_m, e.bearing_deg) - _polar(*truth[frame])) < 0.06
     ]
     assert len(near) == len(claims) >= 8
+
+
+@pytest.mark.slow
+@needs_field_data
+@pytest.mark.parametrize("name", ["basin_a", "basin_b"])
+def test_basin(tmp_path: Path, name: str) -> None:
+    results = sonarrec.run(FIELD / name, tmp_path).folder
+    counts = sonarrec.evaluate(results, FIELD / name / "gt.csv").counts
+    framework, smi = (counts.count(method, "strict") for method in ("framework", "smi"))
+    assert framework.tpr >= 0.90
+    assert framework.fpr <= 0.02
+    assert framework.tpr > smi.tpr
+    assert framework.fpr < smi.fpr
+
+
+@pytest.mark.slow
+@needs_field_data
+def test_nothing_is_declared_in_rivers(tmp_path: Path) -> None:
+    frames = declared = 0
+    for video in sorted((FIELD / "river").glob("*.avi")):
+        results = sonarrec.read_results(sonarrec.run(video, tmp_path).folder)
+        frames += len(results.frames)
+        claims = results.estimates.query("method == 'framework' and declared == 1")
+        declared += claims.frame.nunique()
+    assert frames > 200
+    assert declared < 0.01 * frames
 
 
 def _polar(range_m: float, bearing_deg: float) -> complex:

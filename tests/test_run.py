@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import subprocess
 import sys
@@ -12,15 +11,10 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sample_log, sonarrec
+from tests.support.rows import read_rows
 
-ROOT = Path(__file__).resolve().parents[1]
-FIELD = ROOT.parent / "shared" / "data"
 HEAVY = ("pandas", "scipy", "matplotlib", "numpy.ma", "numpy", "cv2")
-
-needs_field_data = pytest.mark.skipif(
-    not FIELD.is_dir(), reason=f"test recordings not found in {FIELD}"
-)
 
 
 def one_line_fault(*arguments: str | Path, code: int = 1) -> str:
@@ -32,52 +26,18 @@ def one_line_fault(*arguments: str | Path, code: int = 1) -> str:
     return result.stderr
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def rates(results: Path) -> dict[tuple[str, str], tuple[float, float]]:
-    """(protocol, method): TPR and FPR in total, from confusion.csv."""
-    return {
-        (r["protocol"], r["method"]): (float(r["tpr"] or "nan"), float(r["fpr"]))
-        for r in table(results / "evaluation" / "confusion.csv")
-        if r["landmark"] == "total"
-    }
-
-
 @pytest.fixture
-def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder to work in, as a user would."""
+def pings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of ten frames with their geometry, in the folder that a user works in."""
     monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def pings(work: Path) -> Path:
-    """A folder of ten frames with their geometry."""
-    folder = work / "pings"
-    folder.mkdir()
-    for name in (*(f"{n:06d}.png" for n in range(10)), "sonar.toml"):
-        (folder / name).write_bytes((SAMPLE / name).read_bytes())
-    return folder
-
-
-# What works
+    return sample_log(tmp_path / "pings", 10)
 
 
 def test_estimates_keep_the_contract(pings: Path) -> None:
     sonarrec("run", pings)
     results = Path("sonarrec_out/pings")
-    frames = table(results / "frames.csv")
+    frames, rows = (read_rows(results / name) for name in ("frames.csv", "estimates.csv"))
     assert [int(r["frame"]) for r in frames] == list(range(10))
-    assert list(frames[0])[:4] == ["frame", "timestamp_ns", "candidates", "tracks"]
-    rows = table(results / "estimates.csv")
-    expected = (
-        "frame,timestamp_ns,method,object,x_px,y_px,range_m,bearing_deg,orientation_deg,"
-        "existence,p_1,p_2,p_3,p_4,p_none,landmark,score,declared"
-    )
-    assert [c for c in rows[0] if c in expected.split(",")] == expected.split(",")
     for row in rows:
         beliefs = {c: float(row[c]) for c in row if c.startswith("p_")}
         assert sum(beliefs.values()) == pytest.approx(1, abs=1e-5)
@@ -106,9 +66,6 @@ def test_run_toml_gives_the_same_bytes_again(pings: Path) -> None:
     sonarrec("run", pings, "--config", first / "run.toml", "--out", "again")
     for name in ("frames.csv", "estimates.csv", "run.toml"):
         assert (first / name).read_bytes() == (Path("again/pings") / name).read_bytes(), name
-
-
-# What is said, and what is not
 
 
 @pytest.mark.slow
@@ -146,21 +103,11 @@ def test_heavy_imports_are_late(pings: Path) -> None:
     assert modules_after(as_main("run", str(pings), "-q")) == {"numpy", "cv2"}
 
 
-# What cannot be used: one clear line and the right exit code
-
-
-def test_a_pipe_and_a_device_are_no_missing_files(work: Path) -> None:
-    os.mkfifo(work / "dive.mcap")
-    for name in ("dive.mcap", os.devnull):
+def test_a_pipe_and_a_device_are_no_missing_files(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "dive.mcap")
+    for name in (tmp_path / "dive.mcap", os.devnull):
         message = one_line_fault("run", name, code=2)
         assert f"sonarrec: {name}: neither" in message
-
-
-def test_no_geometry(pings: Path) -> None:
-    (pings / "sonar.toml").unlink()
-    message = one_line_fault("run", pings)
-    assert "range_min_m" in message
-    assert message.count("\n") == 1
 
 
 def test_geometry_by_flags_alone(pings: Path) -> None:
@@ -186,41 +133,3 @@ def test_contradictory_geometry(pings: Path, flags: tuple[str, ...], word: str) 
     (pings / "sonar.toml").write_text(tomli_w.dumps({"sonar": stated}))
     message = one_line_fault("run", pings, code=2)
     assert message.startswith(f"sonarrec: {pings / 'sonar.toml'}: ")
-
-
-# The least it must show
-
-
-@pytest.mark.slow
-@needs_field_data
-@pytest.mark.parametrize("name", ["basin_a", "basin_b"])
-def test_basin(work: Path, name: str) -> None:
-    sonarrec("run", FIELD / name)
-    results = work / "sonarrec_out" / name
-    sonarrec("evaluate", "--ground-truth", FIELD / name / "gt.csv", results)
-    found = rates(results)
-    tpr, fpr = found["strict", "framework"]
-    single_tpr, single_fpr = found["strict", "smi"]
-    assert tpr >= 0.90
-    assert fpr <= 0.02
-    assert tpr > single_tpr
-    assert fpr < single_fpr
-
-
-@pytest.mark.slow
-@needs_field_data
-def test_nothing_is_declared_in_rivers(work: Path) -> None:
-    videos = sorted((FIELD / "river").glob("*.avi"))
-    assert videos
-    sonarrec("run", *videos)
-    frames, declared = 0, set()
-    for video in videos:
-        results = work / "sonarrec_out" / video.stem
-        frames += len(table(results / "frames.csv"))
-        declared |= {
-            (video.stem, r["frame"])
-            for r in table(results / "estimates.csv")
-            if r["method"] == "framework" and r["declared"] == "1"
-        }
-    assert frames > 200
-    assert len(declared) < 0.01 * frames

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from sonarrec.results.run_file import read_run
 from tests.support.batch import made
 from tests.support.command import SAMPLE, on_a_terminal, sample_log, sonarrec
 from tests.support.locked import locked
+from tests.support.rows import read_rows
 
 TEN = SAMPLE / "00000*.png"
 
@@ -27,35 +27,19 @@ def run_words(words: str, code: int, **places: Path) -> Result:
 
 
 def numbers(folder: Path) -> list[int]:
-    with (folder / "frames.csv").open(newline="") as file:
-        return [int(row["frame"]) for row in csv.DictReader(file)]
+    return [int(row["frame"]) for row in read_rows(folder / "frames.csv")]
 
 
 @pytest.mark.slow
 def test_a_slice_of_the_frames_is_as_python_s(tmp_path: Path) -> None:
     """Frames keep their numbers, run.toml says which, and another slice is not up to date."""
-    for text in ("3:7", ":4", "9:", ":"):
-        first, _, end = text.partition(":")
-        expected = list(range(12))[int(first or 0) : int(end) if end else None]
+    for text, expected in (("3:7", [3, 4, 5, 6]), (":2", [0, 1]), ("9:", [9]), (":", [*range(10)])):
         sonarrec("run", "-q", TEN, "--frames", text, "-o", tmp_path)
-        [folder] = [p for p in tmp_path.iterdir() if p.is_dir()]
-        assert numbers(folder) == [n for n in expected if n < 10]
+        assert numbers(tmp_path / "pan") == expected
     assert "up to date" in sonarrec("run", TEN, "--frames", ":", "-o", tmp_path).stdout
     whole = sonarrec("run", TEN, "-o", tmp_path)
     assert "other settings" in whole.stderr
     assert "up to date" not in whole.stdout
-
-
-@pytest.mark.slow
-def test_run_toml_keeps_the_slice(tmp_path: Path) -> None:
-    (log,) = made(tmp_path, "dive", frames=8)
-    sonarrec("run", "-q", log, "--frames", "2:5", "-o", tmp_path / "out")
-    again = ["--config", tmp_path / "out" / "dive" / "run.toml", "-o"]
-    for named, out in ((log, "again"), (log / "*.png", "glob")):
-        sonarrec("run", "-q", named, *again, tmp_path / out)
-        assert numbers(tmp_path / out / "dive") == [2, 3, 4]
-    done = run(log, tmp_path / "python", frames=(6, None))
-    assert numbers(done.folder) == [6, 7]
 
 
 @pytest.mark.parametrize("text", ["3", "5:5", "a:b", "-3:", "1:2:3", "99999:"])
@@ -66,15 +50,12 @@ def test_a_slice_without_frames_is_refused(tmp_path: Path, text: str) -> None:
 
 
 FAULTS = {  # and the exit code: `sonarrec help run`
-    ("an input that is not there", 2): """run GONE | run GONE GONE | info GONE
+    ("not there", 2): """run GONE | run GONE GONE | info GONE
         evaluate GONE --ground-truth GT | evaluate --ground-truth GONE | evaluate --pairs GONE
         evaluate --compare GONE GONE --ground-truth GT | report GONE | overlay GONE -o o.mcap
         calibrate GONE --ground-truth GT -o m.toml | truth check GT GONE | truth convert GONE
         truth propose GONE | map GONE | check GONE""",
-    (
-        "nothing in it",
-        2,
-    ): """run EMPTY | info EMPTY | evaluate EMPTY --ground-truth GT | report EMPTY
+    ("empty", 2): """run EMPTY | info EMPTY | evaluate EMPTY --ground-truth GT | report EMPTY
         map EMPTY | truth propose EMPTY | overlay LOG EMPTY -o o.mp4 | truth check GT EMPTY""",
     ("no truth", 2): """evaluate OUT | calibrate LOG -o m.toml | check CHECK""",
     ("a setting or a set that does not exist", 2): """run LOG --set a.b=1 | check CHECK --set a.b=1
@@ -97,18 +78,13 @@ def test_a_fault_has_one_exit_code_in_all_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, code: int
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    places = {
-        "GONE": tmp_path / "gone",
-        "EMPTY": tmp_path / "empty",
-        "LOG": sample_log(tmp_path / "log", 40),
-        "BARE": sample_log(tmp_path / "bare", 40),
-        "PARTLY": sample_log(tmp_path / "partly", 40),
-        "OUT": tmp_path / "out" / "log",
-        "CHECK": tmp_path / "check.toml",
-        "MORE": tmp_path / "more.csv",
-    }
+    names = ("gone", "empty", "log", "bare", "partly", "out/log", "check.toml", "more.csv")
+    keys = ("GONE", "EMPTY", "LOG", "BARE", "PARTLY", "OUT", "CHECK", "MORE")
+    places = {key: tmp_path / name for key, name in zip(keys, names, strict=True)}
+    for name in ("log", "bare", "partly"):
+        sample_log(tmp_path / name, 40)
     places["EMPTY"].mkdir()
-    sonarrec("run", "-q", places["LOG"], "-o", tmp_path / "out")
+    sonarrec("run", "-q", "log", "-o", "out")
     (places["BARE"] / "sonar.toml").unlink()
     (places["PARTLY"] / "000003.png").write_bytes(b"no image")
     places["CHECK"].write_text('[[log]]\npath = "log"\n')
@@ -141,18 +117,12 @@ def test_ctrl_c_at_the_start_is_one_line(name: str, monkeypatch: pytest.MonkeyPa
     assert sonarrec(name, SAMPLE, code=130).stderr == "sonarrec: stopped\n"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "run LOCKED/pan.mcap",
-        "info LOCKED/pan.mcap",
-        "report LOCKED/out",
-        "overlay LOCKED/pan.mcap -o o",
-        "map LOCKED/out",
-        "calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml",
-        "truth check GT LOCKED/pan.mcap",
-    ],
-)
+LOCKED = """run LOCKED/pan.mcap | info LOCKED/pan.mcap | report LOCKED/out | map LOCKED/out
+overlay LOCKED/pan.mcap -o o | calibrate LOCKED/pan.mcap --ground-truth GT -o m.toml
+truth check GT LOCKED/pan.mcap"""
+
+
+@pytest.mark.parametrize("words", re.split(r" \| |\n", LOCKED))
 def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> None:
     with locked(tmp_path / "locked") as folder:
         done = run_words(words, 1, LOCKED=folder)
@@ -162,13 +132,13 @@ def test_a_folder_without_permission_is_one_line(tmp_path: Path, words: str) -> 
 
 
 def test_the_bar_counts_the_frames_of_a_log_or_the_logs(tmp_path: Path) -> None:
-    logs = [*map(str, made(tmp_path, "one", "two", frames=40))]
+    logs = [*map(str, made(tmp_path, "one", "two", frames=12))]
     shown = on_a_terminal("run", "-j", "1", *logs, "-o", "out", cwd=tmp_path)
     assert b"/2 [" in shown
     assert b"log/s" in shown or b"s/log" in shown
     shown = on_a_terminal("run", logs[0], "-o", "other", cwd=tmp_path)
     assert b"one:" in shown
-    assert b"/40 [" in shown
+    assert b"/12 [" in shown
 
 
 def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
@@ -182,7 +152,9 @@ def test_another_log_of_the_name_is_run_whole_though_the_first_was_run_in_part(
     assert len(numbers(tmp_path / "y" / "dive")) == 6
     first.rename(tmp_path / "renamed")
     sonarrec("run", "-q", tmp_path / "renamed", *again, tmp_path / "z")
-    assert numbers(tmp_path / "z" / "renamed") == [1, 2]
+    sonarrec("run", "-q", tmp_path / "renamed" / "*.png", *again, tmp_path / "glob")
+    assert numbers(tmp_path / "z" / "renamed") == numbers(tmp_path / "glob" / "renamed") == [1, 2]
+    assert numbers(run(second, tmp_path / "python", frames=(4, None)).folder) == [4, 5]
 
 
 def test_geometry_that_is_given_changes_what_a_run_toml_only_worked_out(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 
@@ -14,14 +15,21 @@ from sonarrec.tables.toml import parse_toml
 from tests.support.command import SAMPLE, sample_log, sonarrec
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A working folder with a log, its truth, and its results."""
-    monkeypatch.chdir(tmp_path)
-    sample_log(tmp_path / "dive", 4)
-    sonarrec("run", "dive", "-q")
-    shutil.copy(SAMPLE / "gt.csv", tmp_path / "truth.csv")
-    shutil.copytree(tmp_path / "dive", tmp_path / "my long dive")
+    folder = tmp_path_factory.mktemp("site")
+    shutil.copytree(sample_log(folder / "dive", 4), folder / "my long dive")
+    shutil.copy(SAMPLE / "gt.csv", folder / "truth.csv")
+    with contextlib.chdir(folder):
+        sonarrec("run", "dive", "-q")
+    return folder
+
+
+@pytest.fixture
+def here(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of it, to work in."""
+    monkeypatch.chdir(shutil.copytree(site, tmp_path, dirs_exist_ok=True))
     return tmp_path
 
 
@@ -35,6 +43,7 @@ def refused(*words: str) -> str:
 @pytest.mark.parametrize(
     ("words", "meant"),
     [
+        # A name that is not there
         ("run dvie", "dive?"),
         ("info Dive.", "dive?"),
         ("evaluate sonarrec_out/diev", "sonarrec_out/dive?"),
@@ -42,11 +51,31 @@ def refused(*words: str) -> str:
         ("evaluate --ground-truth truth.cvs", "truth.csv?"),
         ("run my long dive", "'my long dive'"),
         ("report my long dive", "quotes"),
+        # Arguments exchanged
+        ("evaluate truth.csv sonarrec_out/dive", "--ground-truth"),
+        ("evaluate truth.csv", "--ground-truth"),
+        ("truth check dive truth.csv", "table first"),
+        ("calibrate sonarrec_out/dive -o m.toml", "the log is dive"),
+        ("calibrate truth.csv -o m.toml", "a table, not a log"),
+        ("run dive -landmarks basin", "--landmarks?"),
+        ("run dive --config dive/sonar.toml", "--sonar"),
+        ("run dive --sonar truth.csv", "CSV"),
+        # An output of another kind
+        ("overlay dive -o x.avi", ".mp4"),
+        ("overlay dive -o x.GIF", ".mcap"),
+        ("report sonarrec_out/dive -o r.pdf", ".html"),
+        ("map sonarrec_out/dive -o m.html", "folder"),
+        ("run dive -o results.csv", "folder"),
+        ("export sonarrec_out/dive -o x.xlsx", ".json"),
+        ("truth propose sonarrec_out/dive -o p.txt", ".csv"),
     ],
 )
-@pytest.mark.usefixtures("here")
-def test_a_name_that_is_not_there_is_answered_by_one_that_is(words: str, meant: str) -> None:
+def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
+    words: str, meant: str, here: Path
+) -> None:
+    before = {*here.rglob("*")}
     assert meant in refused(*words.split())
+    assert {*here.rglob("*")} == before
 
 
 @pytest.mark.parametrize(
@@ -98,42 +127,6 @@ def test_columns_of_other_programs_are_told_as_ours(header: str, meant: str) -> 
     separator = ";" if ";" in header else ","
     Path("gt.csv").write_text(f"{header}\n{separator.join('1123')}\n")
     assert meant in refused("evaluate", "sonarrec_out/dive", "--ground-truth", "gt.csv")
-
-
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        ("evaluate truth.csv sonarrec_out/dive", "--ground-truth"),
-        ("evaluate truth.csv", "--ground-truth"),
-        ("truth check dive truth.csv", "table first"),
-        ("calibrate sonarrec_out/dive -o m.toml", "the log is dive"),
-        ("calibrate truth.csv -o m.toml", "a table, not a log"),
-        ("run dive -landmarks basin", "--landmarks?"),
-        ("run dive --config dive/sonar.toml", "--sonar"),
-        ("run dive --sonar truth.csv", "CSV"),
-    ],
-)
-@pytest.mark.usefixtures("here")
-def test_exchanged_arguments_are_told(words: str, meant: str) -> None:
-    assert meant in refused(*words.split())
-
-
-@pytest.mark.parametrize(
-    ("words", "known"),
-    [
-        ("overlay dive -o x.avi", ".mp4"),
-        ("overlay dive -o x.GIF", ".mcap"),
-        ("report sonarrec_out/dive -o r.pdf", ".html"),
-        ("map sonarrec_out/dive -o m.html", "folder"),
-        ("run dive -o results.csv", "folder"),
-        ("export sonarrec_out/dive -o x.xlsx", ".json"),
-        ("truth propose sonarrec_out/dive -o p.txt", ".csv"),
-    ],
-)
-def test_an_output_of_another_kind_is_refused(words: str, known: str, here: Path) -> None:
-    before = {*here.rglob("*")}
-    assert known in refused(*words.split())
-    assert {*here.rglob("*")} == before
 
 
 def test_pictures_of_results_may_lie_next_to_photos(here: Path) -> None:

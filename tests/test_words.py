@@ -1,4 +1,5 @@
-"""Words of pages, messages and code: none that has a better one. And no message is too long."""
+"""Words and names of pages, messages and code: short, none that has a better one, none of what is
+not there."""
 
 from __future__ import annotations
 
@@ -6,14 +7,23 @@ import ast
 import re
 import tokenize
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-PAGES = sorted((ROOT / "sonarrec" / "help").glob("*.md"))
+import click
+import pytest
+from click.testing import CliRunner
+
+from sonarrec.cli import main
+from sonarrec.config import SECTIONS
+from tests.test_docs import COMMANDS, DOCUMENTS, PAGES, README, ROOT, code_lines, examples
+
 MODULES = sorted((ROOT / "sonarrec").rglob("*.py"))
 LONGEST = 200
 LONGEST_NOTE = 160
+LINES = {"README": 115, **dict.fromkeys(("contribute", "formats", "results", "run"), 220)}
+"""How long a document may be; the others 150 lines."""
 VALUE = "x" * 8  # in place of what a message is filled with
 TOLD = {
     *("SonarrecError", "UsageError", "MissingError", "UnusableError", "DamagedError"),
@@ -69,8 +79,12 @@ MOST_VAGUE = 8
 
 def banned() -> list[str]:
     """The regular expressions on the left of the table in `sonarrec help contribute`."""
-    page = (ROOT / "sonarrec" / "help" / "contribute.md").read_text(encoding="utf-8")
-    table = page.partition("\n    refused  ")[2].partition("\n\n")[0]
+    table = (
+        PAGES["contribute"]
+        .read_text(encoding="utf-8")
+        .partition("\n    refused  ")[2]
+        .partition("\n\n")[0]
+    )
     return [line.strip().partition("  ")[0] for line in table.splitlines()[1:]]
 
 
@@ -123,7 +137,7 @@ def test_messages_are_short_and_no_text_has_a_word_that_has_a_better_one() -> No
     said = [(where, text) for where, text, _ in found]
     prose = [
         (page.name, re.sub(r"`[^`]*`|^    .*", "", page.read_text("utf-8"), flags=re.MULTILINE))
-        for page in [*PAGES, ROOT / "README.md"]
+        for page in DOCUMENTS
     ]
     word = re.compile(rf"\b({'|'.join(banned())})\b")
     assert not [(where, word.search(text)) for where, text in [*prose, *said] if word.search(text)]
@@ -181,3 +195,67 @@ def test_vague_words_are_rare() -> None:
                     where = f"{path.relative_to(ROOT)}:{token.start[0]}"
                     found += [f"{where}: {word}" for word in VAGUE.findall(token.string)]
     assert len(found) <= MOST_VAGUE, "\n".join(found)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def test_a_page_is_short_and_fits_a_terminal(document: Path) -> None:
+    """It begins with what it is for, and each `sonarrec ...` line of a code block has its `$`."""
+    text, name = document.read_text(encoding="utf-8"), document.stem
+    assert len(text.splitlines()) <= LINES.get(name, 150)
+    assert not [line for line in code_lines(document) if re.match(r"\s*sonarrec [a-z]", line)]
+    if document == README:
+        return
+    assert re.match(rf"# {name}: \S.*\n\n\S", text)
+    printed = {line for _, lines in examples(document) for line in lines}
+    lines = [line for line in text.splitlines() if line.removeprefix("    ") not in printed]
+    assert not [line for line in lines if len(line) > 92]
+
+
+def test_help_is_short_and_options_are_few() -> None:
+    """The ceilings of the last cut; they only fall."""
+    counts = {}
+    for name, command in COMMANDS.items():
+        text = help_of(name)
+        assert len(text.splitlines()) <= (110 if name == "run" else 60), name
+        counts[name] = sum(isinstance(p, click.Option) for p in command.params)
+    assert counts["run"] <= 36
+    assert sum(counts.values()) <= 167
+    assert sum(len(fields(kind)) for kind in SECTIONS.values()) <= 40
+
+
+def help_of(name: str) -> str:
+    return CliRunner().invoke(main, [*name.split(), "--help"], terminal_width=80).stdout
+
+
+def test_pages_that_are_named_exist() -> None:
+    texts = {document.name: document.read_text(encoding="utf-8") for document in DOCUMENTS}
+    for name, text in (texts | {name: help_of(name) for name in COMMANDS}).items():
+        for page in re.findall(r"sonarrec help ([a-z]+)|see help\s+([a-z]+)", text):
+            assert "".join(page) in PAGES, f"{name}: {page}"
+
+
+def test_files_and_names_that_the_readme_and_the_page_for_developers_name_exist() -> None:
+    text = README.read_text(encoding="utf-8")
+    named = re.findall(r"[`(]((?:sonarrec|tests|sample_data)/[\w./]+)[`)#]", text)
+    assert len(named) > 5
+    text = PAGES["contribute"].read_text(encoding="utf-8").partition("## How to add")[0]
+    rows = "\n".join(line for line in text.splitlines() if line.startswith("    "))
+    files = re.findall(r"(?<![\w/])((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)\b", rows)
+    assert len(files) > 20
+    named += [f"sonarrec/{file}" for file in files]
+    assert not [path for path in named if not (ROOT / path).exists()]
+    rows = rows.partition("cli   ")[0]
+    places = re.findall(r"([\w/]+\.py) +([\w.]+(?:, \w+)*)$", rows, re.MULTILINE)
+    assert len(places) > 8
+    for file, names in places:
+        text = (ROOT / "sonarrec" / file).read_text(encoding="utf-8")
+        for name in re.split(r"[, .]+", names):
+            assert re.search(rf"\b{name}\b", text), f"{file}: {name}"
+
+
+@pytest.mark.parametrize("command", ["demo", "test"])
+def test_the_readme_has_what_each_command_that_installs_needs_and_takes(command: str) -> None:
+    text = README.read_text(encoding="utf-8").partition("## Install")[2].partition("\n## ")[0]
+    about = text.partition(f"- `make {command}`")[2].partition("\n- ")[0]
+    assert re.search(r"\bminutes?\b", about)
+    assert re.search(r"[\d.]+ [MG]B", about)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from sonarrec.evaluation.figures import Summary, summarise
 from tests.support.claims import counts, matched
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 
 
 def summary_of(frames: int, truth: list, claims: list, **options) -> Summary:
@@ -31,9 +31,6 @@ def claim(frame: int, landmark: int = 1, x: float = 0.0, **more) -> tuple:
         *(told["method"], frame, landmark, x, 0, told["score"], told["declared"]),
         *told.get("p", ()),
     )
-
-
-# --- Errors -------------------------------------------------------------------------------------
 
 
 def test_position_errors() -> None:
@@ -58,9 +55,6 @@ def test_orientation_errors() -> None:
     assert untold.figure("strict", "a", "orientation_error_median_deg") is None
 
 
-# --- Calibration ---------------------------------------------------------------------------------
-
-
 def test_calibration_by_hand() -> None:
     truth = [(0, 1, 0, 0, True), (1, 2, 0, 0, True), (2, 1, 0, 0, False)]
     claims = [
@@ -73,9 +67,6 @@ def test_calibration_by_hand() -> None:
     summary = summary_of(10, truth, claims)
     # Most probable: .8 right, .8 wrong, .75 right.
     assert value(summary, "ece") == pytest.approx((abs(1.6 - 1) + abs(0.75 - 1)) / 3)
-
-
-# --- Files ---------------------------------------------------------------------------------------
 
 
 def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
@@ -101,10 +92,6 @@ def test_files_tell_what_the_summary_holds(tmp_path: Path) -> None:
     assert "minus a, TPR: +0.100, p = 0.0078" in done.output
     assert re.search(r"^FPR  +0\.0000 \(0\.0000-0\.1226\)", done.output, re.MULTILINE)
     assert max(len(line) for line in done.output.splitlines()[:-1]) <= 100
-
-    def table(name: str) -> list[dict[str, str]]:
-        with (tmp_path / "evaluation" / name).open() as file:
-            return list(csv.DictReader(file))
-
-    passes = [r for r in table("passes.csv") if (r["method"], r["protocol"]) == ("a", "strict")]
+    rows = read_rows(tmp_path / "evaluation" / "passes.csv")
+    passes = [r for r in rows if (r["method"], r["protocol"]) == ("a", "strict")]
     assert {(r["frames"], r["right"]) for r in passes} == {("10", "9")}

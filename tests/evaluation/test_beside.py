@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from functools import partial
@@ -13,11 +12,10 @@ import pytest
 from tests.evaluation.test_evaluation import RUN_TOML, counts, scored, write_case, write_csv
 from tests.support.claims import evaluate
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 
 FRAMES = range(12)
 HEADER = ("frame", "landmark", "range_m", "bearing_deg")
-
-
 command = partial(sonarrec, "evaluate")
 
 
@@ -36,6 +34,17 @@ def result(folder: Path, log: Path, digest: str, claimed: range, more: str = "")
 
 def truth(path: Path, frames: range) -> None:
     write_csv(path, HEADER, [(f, 1, 2.0, 0.0) for f in frames])
+
+
+def logs_in_figures(logs: Path) -> set[str]:
+    return {row["log"] for row in read_rows(logs / "out" / "evaluation" / "figures.csv")}
+
+
+def found_and_missed(logs: Path) -> list[tuple[int, int]]:
+    """TP and FN of ID.1 in each log."""
+    found = evaluate(logs / "out")
+    per_log = [scored(found, "strict").count(0, n) for n in range(len(found.folders))]
+    return [(c.tp, c.fn) for c in per_log]
 
 
 @pytest.fixture
@@ -63,11 +72,8 @@ def test_each_log_has_its_own(logs: Path) -> None:
     truth(logs / "logs" / "pings" / "gt.csv", range(12))
     done = command(logs / "out")
     assert f"the first {logs}/logs/a.gt.csv" in done.stdout
-    found = evaluate(logs / "out")
-    per_log = [scored(found, "strict").count(0, n) for n in range(len(found.folders))]
-    assert [(c.tp, c.fn) for c in per_log] == [(1, 3), (2, 6), (3, 9)]
-    with (logs / "out" / "evaluation" / "figures.csv").open() as file:
-        assert {row["log"] for row in csv.DictReader(file)} == {"", "a", "b", "pings"}
+    assert found_and_missed(logs) == [(1, 3), (2, 6), (3, 9)]
+    assert logs_in_figures(logs) == {"", "a", "b", "pings"}
 
 
 def test_truths_in_one_folder(logs: Path) -> None:
@@ -79,8 +85,7 @@ def test_truths_in_one_folder(logs: Path) -> None:
         truth(labelled / f"{name}.gt.csv", range(frames))
     done = command(logs / "out", "--ground-truth", labelled, code=3)
     assert f"no b.gt.csv in {labelled}" in done.stderr
-    with (logs / "out" / "evaluation" / "figures.csv").open() as file:
-        assert {row["log"] for row in csv.DictReader(file)} == {"", "a", "pings"}
+    assert logs_in_figures(logs) == {"", "a", "pings"}
     compared = command("--compare", logs / "out", logs / "out", "--ground-truth", labelled, code=3)
     assert "no b.gt.csv" in compared.stderr
 
@@ -137,27 +142,19 @@ def test_one_truth_beside_several_logs_must_tell_them_apart(logs: Path) -> None:
     assert "lies beside 2 logs (a, b)" in command(logs / "out", code=1).stderr
     rows = [("a", 0, 1, 2.0, 0.0), ("b", 0, 1, 2.0, 0.0), ("b", 1, 1, 2.0, 0.0)]
     write_csv(logs / "logs" / "gt.csv", ("log", *HEADER), rows)
-    found = evaluate(logs / "out")
-    per_log = [scored(found, "strict").count(0, n) for n in range(len(found.folders))]
-    assert [(c.tp, c.fn) for c in per_log] == [(1, 0), (2, 0)]
-
-
-# --- One recording counts once -------------------------------------------------------------------
+    assert found_and_missed(logs) == [(1, 0), (2, 0)]
 
 
 def test_copies_of_one_recording_count_once(logs: Path) -> None:
     """Also those with other settings; figures, intervals and passes are those of the first."""
     truth(logs / "gt.csv", range(4))
-    place = logs / "logs" / "a.mp4"
-    alone = logs / "out" / "a"
-    (logs / "few").mkdir()
-    alone = alone.rename(logs / "few" / "a")
-    shutil.copytree(alone, logs / "few" / "copy")
-    (logs / "few" / "link").symlink_to(alone)
-    other = result(logs / "else", place, "0" * 64, range(3))
-    other.rename(logs / "few" / "other")
-    done = command("--ground-truth", logs / "gt.csv", logs / "few", code=3)
     few = logs / "few"
+    few.mkdir()
+    alone = (logs / "out" / "a").rename(few / "a")
+    shutil.copytree(alone, few / "copy")
+    (few / "link").symlink_to(alone)
+    result(logs / "else", logs / "logs" / "a.mp4", "0" * 64, range(3)).rename(few / "other")
+    done = command("--ground-truth", logs / "gt.csv", few, code=3)
     for name in ("copy", "link"):
         assert f"{few / name}: the same" in done.stdout
     assert f"{few / 'other'}: the same" in done.stderr
@@ -174,17 +171,6 @@ def test_copies_of_one_recording_count_once(logs: Path) -> None:
     assert told["frames"] == len(FRAMES)
 
 
-# --- Truth that cannot fit -----------------------------------------------------------------------
-
-
-def test_positions_by_other_names_are_no_positions(tmp_path: Path) -> None:
-    results, gt = write_case(tmp_path, FRAMES, [(0, "m", 2.0, 0.0, 1, 0.9, 1)], [])
-    gt.write_text("frame,landmark,x,y\n0,1,2.0,0.0\n")
-    done = command("--ground-truth", gt, results, code=3)
-    assert "strict protocol" in done.stdout
-    assert f"sonarrec: {gt}: columns x" in done.stderr
-
-
 @pytest.mark.parametrize("unit", [100.0, 0.001])
 def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) -> None:
     """Centimetres, or kilometres."""
@@ -194,9 +180,6 @@ def test_positions_outside_the_image_are_refused(tmp_path: Path, unit: float) ->
     (line,) = command("--ground-truth", gt, results, code=1).stderr.splitlines()
     assert "out (1.25 to 3.75 m" in line
     assert f"such as {2 * unit:.4g} m, 1 deg" in line
-
-
-# --- What goes to stdout, which methods there are ------------------------------------------------
 
 
 @pytest.mark.parametrize("text", ["0,x,2,0", "0,9,2,0"])

@@ -7,17 +7,18 @@ import json
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sonarrec.evaluation.counts import corners
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports.screen import rate, screen
 from tests.support.claims import Scored, all_scored, evaluate
 from tests.support.command import sonarrec
+from tests.support.rows import read_rows
 
 IDS = (1, 2, 3, 4)
 GATE_M = load_landmarks("basin").radius_m
@@ -52,8 +53,6 @@ def counts(one: Scored, k: int | None = None, log: int | None = None) -> tuple[i
     c = one.count(k, log)
     return c.tp, c.tn, c.fp, c.fn
 
-
-# --- The paper's tables -------------------------------------------------------------------------
 
 PAPER_FRAMES = 992
 # Per ID: frames in view, those of them claimed, further claims of it there, claimed while absent.
@@ -118,23 +117,32 @@ def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
     assert "view: ID.2" in done.output
     assert max(len(line) for line in lines if "|" in line) <= 100
 
-    with (results / "evaluation" / "confusion.csv").open() as file:
-        rows = {
-            (r["method"], r["landmark"]): r
-            for r in csv.DictReader(file)
-            if r["protocol"] == "paper"
-        }
-    assert [rows["smi", i]["total"] for i in ("1", "2", "3", "4", "total")] == [
-        "1002", "992", "993", "996", "3983",
-    ]  # fmt: skip
+    folder = results / "evaluation"
+    confusion = [r for r in read_rows(folder / "confusion.csv") if r["protocol"] == "paper"]
+    rows = {(r["method"], r["landmark"]): r for r in confusion}
+    totals = [rows["smi", i]["total"] for i in ("1", "2", "3", "4", "total")]
+    assert totals == ["1002", "992", "993", "996", "3983"]
     assert rows["smi", "2"]["tpr"] == ""  # 0/0 is no result
     assert float(rows["smi", "total"]["tpr_once"]) == pytest.approx(843 / 1028, abs=1e-15)
     assert float(rows["framework", "total"]["tpr"]) == pytest.approx(889 / 1028, abs=1e-15)
 
-    told = json.loads((results / "evaluation" / "evaluation.json").read_text())
-    assert told["methods"]["smi"]["paper"]["2"]["tpr"] is None
-    assert told["methods"]["framework"]["paper"]["total"]["fp"] == 81
-    assert (results / "evaluation" / "roc.png").read_bytes().startswith(b"\x89PNG")
+    methods = json.loads((folder / "evaluation.json").read_text())["methods"]
+    assert methods["smi"]["paper"]["2"]["tpr"] is None
+    assert methods["framework"]["paper"]["total"]["fp"] == 81
+    figures = {
+        (r["landmark"], r["figure"]): (r["value"], r["note"])
+        for r in read_rows(folder / "figures.csv")
+        if (r["protocol"], r["method"]) == ("paper", "smi")
+    }
+    for name in ("tpr", "auc"):
+        value, note = figures["2", name]
+        assert value == ""
+        assert "0/0" in note
+    assert figures["2", "fpr"][0] == str(3 / 992)
+    assert figures["total", "tpr"][0] == str(858 / 1043)
+    picture = cv2.imread(str(folder / "roc.png"))
+    for bgr in ((0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)):  # the colours of both methods
+        assert np.count_nonzero((picture == bgr).all(axis=2)) > 100
 
 
 @pytest.mark.parametrize(
@@ -144,8 +152,6 @@ def test_tables_4_and_5_to_the_last_digit(tmp_path: Path) -> None:
 def test_rates_round_half_up_as_printed(part: int, whole: int, printed: str) -> None:
     assert rate(part, whole) == printed
 
-
-# --- Small cases, each stating one rule --------------------------------------------------------
 
 NEAR, FAR = (2.0, 0.0), (3.0, 0.0)
 
@@ -228,9 +234,6 @@ def test_dropping_frames_from_the_estimates_does_not_raise_tpr(tmp_path: Path) -
     estimates_left, rows_left = cut.unused
     assert "5 estimates" in estimates_left
     assert "10 of 20 rows" in rows_left
-
-
-# --- Random cases against a count frame by frame -------------------------------------------------
 
 
 def random_case(rng: np.random.Generator) -> tuple[list, list, list]:
@@ -316,41 +319,6 @@ def test_counts_and_curves_equal_a_count_frame_by_frame(tmp_path_factory, seed: 
             assert not (np.diff(curve["tpr"]) < 0).any()
             assert not (np.diff(curve["fpr"]) < 0).any()
 
-
-def test_curve_equals_scikit_learn(tmp_path: Path) -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
-    rng = np.random.default_rng(3)
-    frames = np.arange(400)
-    positive = rng.random(400) < 0.4
-    score = np.round(rng.random(400) * 0.6 + positive * 0.3, 2)  # many ties
-    found = evaluate(
-        *write_case(
-            tmp_path,
-            frames,
-            [(f, "m", 2.0, 0.0, 1, s, 0) for f, s in zip(frames, score, strict=True)],
-            [(f, 1, 2.0, 0.0, 1.0) for f in frames[positive]],
-        )
-    )
-    for protocol in ("paper", "strict"):
-        curve = scored(found, protocol).curve(0)
-        fpr, tpr, thresholds = metrics.roc_curve(positive, score, drop_intermediate=False)
-        np.testing.assert_array_equal(curve["threshold"], thresholds)
-        np.testing.assert_allclose(curve["tpr"], tpr, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(curve["fpr"], fpr, rtol=0, atol=1e-12)
-        # What roc.csv keeps draws the same curve.
-        at = corners(curve)
-        assert len(at) < len(fpr)
-        assert metrics.auc(at["fpr"], at["tpr"]) == pytest.approx(
-            metrics.roc_auc_score(positive, score), abs=1e-12
-        )
-        few = corners(curve, most=40)
-        assert len(few) <= 42
-        assert metrics.auc(few["fpr"], few["tpr"]) == pytest.approx(
-            metrics.roc_auc_score(positive, score), abs=0.03
-        )
-
-
-# --- Other programs' tables ----------------------------------------------------------------------
 
 RUN_TOML = """
 [sonar]

@@ -67,8 +67,6 @@ def test_two_frames_are_free(tmp_path: Path) -> None:
 def test_better_and_unchanged(tmp_path: Path) -> None:
     old, new, logs = both(tmp_path, a=claims(RIGHT - set(range(5, 15))))
     limits = Limits(band=0.1)
-    for log in logs:
-        (old / log / "gt.csv").write_bytes((new / log / "gt.csv").read_bytes())
     better = judged(new, old, logs, limits).sentence
     assert better.startswith("better: TPR 0.5000 -> 1.0000 (m, strict) in a")
     same = judged(new, new, logs, limits).sentence
@@ -87,10 +85,8 @@ def test_the_baseline_is_looked_at_on_request(tmp_path: Path) -> None:
         "worse: TPR 1.0000 -> 0.0500 (smi, strict)"
     )
     # Where nothing else is there it counts.
-    only = [
-        results(tmp_path / f"only_{n}", claims(r, method="smi")) for n, r in enumerate((RIGHT, {5}))
-    ]
-    assert judge(compare(*only, truth), Limits(band=0.02)).faults
+    old, new = (results(tmp_path / f"{len(r)}", claims(r, method="smi")) for r in (RIGHT, {5}))
+    assert judge(compare(old, new, truth), Limits(band=0.02)).faults
 
 
 def test_limits_by_method_and_for_each(tmp_path: Path) -> None:
@@ -130,10 +126,8 @@ def test_many_logs_show_what_is_worse_and_the_total(tmp_path: Path) -> None:
     found = compare(old, new, [Pair(new / log, new / log / "gt.csv") for log in names])
     lines = comparison(found, judge(found, Limits(band=0.1))).splitlines()
     assert "worse on 2 of 24 logs: log_3, log_5" in lines[0]
-    assert [line.split()[0] for line in lines[2:9]] == [
-        *(["log_3"] * 2 + ["log_5"] * 2 + ["total"] * 2 + ["44"])
-    ]
-    assert lines[8] == "44 more rows"
+    assert [line.split()[0] for line in lines[2:8:2]] == ["log_3", "log_5", "total"]
+    assert lines[8].startswith("44 more")
 
 
 @pytest.mark.parametrize("rate", ["1.1", "nan", "m=", "much"])

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import shutil
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,32 +15,9 @@ from sonarrec.evaluation.write import write_evaluation
 from tests.evaluation.test_evaluation import write_case
 from tests.support.claims import all_scored
 from tests.support.command import sonarrec
-from tests.support.made_up import make_logs, make_sides
+from tests.support.made_up import make_logs
+from tests.support.rows import read_rows
 from tests.support.slow import but_first
-
-
-@pytest.fixture(scope="module")
-def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve logs, in one of which a method is missing and another program's is there."""
-    table = make_logs(tmp_path_factory.mktemp("many") / "made", 12, 250, 4)
-    odd = table.parent / "out" / "log0005"
-    text = (odd / "estimates.csv").read_text(encoding="utf-8")
-    (odd / "estimates.csv").unlink()
-    head, *lines = text.splitlines(keepends=True)
-    kept = [line.replace(",smi,", ",another,") for line in lines[: len(lines) // 2]]
-    (odd / "estimates.csv").write_text(head + "".join(kept), encoding="utf-8")
-    run = (odd / "run.toml").read_text(encoding="utf-8")
-    (odd / "run.toml").write_text(run.replace('"smi"', '"another"'), encoding="utf-8")
-    return table
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
-def table(text: bytes) -> list[dict[str, str]]:
-    return list(csv.DictReader(text.decode().splitlines()))
-
 
 BROKEN = {
     "estimates.csv": ("frame,method\n0,smi\n", "estimates.csv: wrong columns, no "),
@@ -58,13 +33,15 @@ BROKEN = {
 def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: str) -> None:
     """The first of three, of either side where two are compared: tables are as without it. If none
     can be read it is one line. One fault is found in another process."""
-    old, new, pairs = make_sides(tmp_path / "made", 3, 50, 2)
+    pairs = make_logs(tmp_path / "made", 3, 50, 2)
+    old, new = (pairs.with_name(name) for name in ("out", "new"))
+    shutil.copytree(old, new, symlinks=True)
     words = ["evaluate", "--pairs", pairs, "-q"]
     words += ["--compare", old, new] if side else []
     text, told = BROKEN[name]
 
     def spoil(n: int) -> str:
-        folder = pairs.parent / (side or "out") / f"log000{n}"
+        folder = pairs.with_name(side or "out") / f"log000{n}"
         (folder / name).unlink()
         (folder / name).write_text(text, encoding="utf-8")
         return f"sonarrec: {folder}{os.sep}{told}"
@@ -80,23 +57,13 @@ def test_a_log_that_cannot_be_read_is_left_out(tmp_path: Path, name: str, side: 
     sonarrec(*words, "-o", tmp_path / "without")
     tables = ("compare.csv",) if side else ("confusion.csv", "roc.csv", "figures.csv")
     for table in tables:
-        assert (tmp_path / "found" / table).read_bytes() == (
-            tmp_path / "without" / table
-        ).read_bytes()
+        found, without = (tmp_path / where / table for where in ("found", "without"))
+        assert found.read_bytes() == without.read_bytes()
     line, _ = spoil(1), spoil(2)
     done = sonarrec(*words, "-o", tmp_path / "none", code=1)
     assert done.output.startswith(line)
     assert done.output.count("\n") == 1
     assert not (tmp_path / "none").exists()
-
-
-def peak_mb(call: Callable[[], object]) -> float:
-    """Most memory that a call holds at a time."""
-    tracemalloc.start()
-    call()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
 
 
 def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) -> None:
@@ -109,7 +76,7 @@ def test_a_log_without_any_estimate_counts_as_nothing_claimed(tmp_path: Path) ->
     found = evaluate_logs(pairs)
     assert all_scored(found.counts)[0].count().fn == 5 + 20
     write_evaluation(tmp_path / "e", found)
-    assert {row["log"] for row in table(files(tmp_path / "e")["passes.csv"])} == {"a", "b"}
+    assert {row["log"] for row in read_rows(tmp_path / "e" / "passes.csv")} == {"a", "b"}
 
 
 @pytest.mark.slow
@@ -139,5 +106,10 @@ def test_memory_does_not_grow_with_the_logs(tmp_path: Path) -> None:
     .5 MB in all). What was read of a log is 4,000 estimates of 17 numbers, .5 MB: were it kept,
     nine more would be 4.5 MB."""
     pairs = read_pairs(make_logs(tmp_path / "made", 11, 1000, 2))
-    few, many = (peak_mb(lambda n=n: evaluate_logs(pairs[:n])) for n in (2, 11))  # type: ignore[misc]
-    assert many - few < 1
+    peaks_mb = []
+    for n in (2, 11):
+        tracemalloc.start()
+        evaluate_logs(pairs[:n])
+        peaks_mb.append(tracemalloc.get_traced_memory()[1] / 1e6)
+        tracemalloc.stop()
+    assert peaks_mb[1] - peaks_mb[0] < 1

@@ -39,41 +39,6 @@ def test_mistakes_add_up_to_the_counts(tmp_path: Path, protocol: str) -> None:
             assert m.frames <= min(m.times, m.last_frame - m.first_frame + 1)
             assert (m.protocol, m.log) == (protocol, "log")
             assert np.isnan(m.score) or 0 <= m.score <= 1
-    for (method, k), spans in by_frame(log).items() if protocol == "strict" else ():
-        mine = [m for m in wrong if (m.method, m.kind, m.landmark) == (method, "missed", k)]
-        assert sorted((m.first_frame, m.last_frame, m.frames) for m in mine) == spans
-
-
-def by_frame(log: Path) -> dict[tuple[str, int], list[tuple[int, int, int]]]:
-    """(first, last, frames) of the runs of frames, with gaps of at most four, in which a landmark
-    whole in view is not claimed within .15 m; by a loop over the tables."""
-
-    def at(row: dict[str, str]) -> complex:
-        return complex(float(row["range_m"]) * np.exp(1j * np.radians(float(row["bearing_deg"]))))
-
-    truth = [r for r in read_rows(log / "gt.csv") if float(r["visible"]) >= 0.9]
-    claims = [r for r in read_rows(log / "estimates.csv") if r["declared"] == "1"]
-    found = {}
-    for method in ("smi", "framework"):
-        for k in range(1, 5):
-            missed = [
-                int(t["frame"])
-                for t in truth
-                if int(t["landmark"]) == k
-                and not any(
-                    (c["frame"], c["method"], c["landmark"]) == (t["frame"], method, str(k))
-                    and abs(at(c) - at(t)) <= 0.15
-                    for c in claims
-                )
-            ]
-            runs: list[list[int]] = []
-            for frame in sorted(missed):
-                if runs and frame - runs[-1][-1] <= 5:
-                    runs[-1].append(frame)
-                else:
-                    runs.append([frame])
-            found[method, k] = sorted((run[0], run[-1], len(set(run))) for run in runs)
-    return found
 
 
 def test_mistakes_by_hand(tmp_path: Path) -> None:

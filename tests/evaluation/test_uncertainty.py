@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import product
 
 import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from sonarrec.evaluation.figures import (
-    METRICS,
-    Sample,
-    differences,
-    intervals,
-    rates,
-    summarise,
-)
+from sonarrec.evaluation.figures import METRICS, Sample, differences, intervals, rates, summarise
 from sonarrec.evaluation.uncertainty import bootstrap_weights, coin_tosses, interval, rate_interval
 from sonarrec.reports.screen import over_units
 from tests.support.claims import counts, matched
@@ -41,9 +35,6 @@ def the_tpr(rows):
 def rate_samples(found, protocol: str, method: str) -> list[Sample]:
     """Per ID, then in total."""
     return list(rates(found, method, protocol))
-
-
-# --- Passes and units ----------------------------------------------------------------------------
 
 
 def seen(landmark: int, first: int, last: int) -> list[tuple]:
@@ -102,17 +93,11 @@ def test_units_add_up_to_the_whole() -> None:
     for protocol in ("paper", "strict"):
         for k, of in enumerate(rate_samples(found, protocol, "a")):
             assert (of.per_unit >= 0).all()  # its own unit has it
-            summed = {n: of.figures(n, of.per_unit.sum(axis=0)[None])[0] for n in RATES}
-            exact = {n: of.value(n) for n in RATES}
-            assert summed["tpr"] == pytest.approx(exact["tpr"], abs=1e-6)
-            assert summed["fpr"] == pytest.approx(exact["fpr"], abs=1e-6)
-            # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
-            assert summed["auc"] == pytest.approx(exact["auc"], abs=0.01), k
-            for name in RATES[4:]:
-                assert summed[name] == pytest.approx(exact[name], abs=1e-6), name
-
-
-# --- Intervals -----------------------------------------------------------------------------------
+            for name in RATES:
+                summed = of.figures(name, of.per_unit.sum(axis=0)[None])[0]
+                # Curves are held in steps of .001 to .02 of FPR, over each of which the TPR rises.
+                near = 0.01 if name == "auc" else 1e-6
+                assert summed == pytest.approx(of.value(name), abs=near), (name, k)
 
 
 def test_interval_is_widened_as_student() -> None:
@@ -172,20 +157,15 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     summary = summarise(two_passes)
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
     (note,) = summary.notes
-    assert "landmarks in 1 log are 2 independent units" in note
-    assert "about 2 more logs" in note
+    assert re.search("1 log are 2 independent .* 2 more logs", note)
     together = [*seen(1, 0, 9), *seen(2, 0, 9), *seen(3, 1, 9)]
     (note,) = summarise(counts(matched(40, together, []))).notes
-    assert "landmarks in 1 log are 1 independent unit" in note
-    assert "about 5 more logs" in note
+    assert re.search("1 log are 1 independent .* 5 more logs", note)
     assert over_units(two_passes.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"
     assert all(math.isnan(f.low) for f in summary.figures)
     assert all(math.isnan(d.p) for d in summary.differences)
-
-
-# --- The test ------------------------------------------------------------------------------------
 
 
 def test_p_value_by_enumeration() -> None:
@@ -195,7 +175,7 @@ def test_p_value_by_enumeration() -> None:
     whole = rng.integers(20, 30, (2, 7)).astype(float)
     a, b = (of_rates(p, w) for p, w in zip(part, whole, strict=True))
     tosses = coin_tosses(7, rng)
-    assert len(np.unique(tosses, axis=0)) == 2**7
+    assert len(tosses) == len(np.unique(tosses, axis=0)) == 2**7
     found = the_tpr(differences(a, b, bootstrap_weights(7, rng), tosses))
 
     def difference(swap: tuple[int, ...]) -> float:
@@ -208,35 +188,3 @@ def test_p_value_by_enumeration() -> None:
     all_ways = [abs(difference(s)) >= abs(seen_one) - 1e-12 for s in product((0, 1), repeat=7)]
     assert found.value_b - found.value_a == pytest.approx(seen_one)
     assert found.p == pytest.approx(np.mean(all_ways))
-
-
-@pytest.mark.slow
-def test_null_simulation_of_every_figure() -> None:
-    """The whole way from claims to p: rates and points of curves of two equal methods.
-
-    Scores wander slowly along a pass, false claims come in bursts. In 120 cases more than
-    .05 + 3 standard errors (.02 each) would be 13.
-    """
-    rng = np.random.default_rng(9)
-    cases, passes, length, gap = 120, 10, 20, 15
-    rejected = dict.fromkeys(RATES, 0)
-    for _ in range(cases):
-        truth, claims = [], []
-        for i in range(passes):
-            first = i * (length + gap)
-            truth += seen(1, first, first + length - 1)
-            for m in (0, 1):
-                level = np.repeat(rng.normal(0.65, 0.15, 7), 5)  # of a fifth of a pass each
-                points = np.clip(level + rng.normal(0, 0.02, 35), 0, 1)
-                points[length:] -= 0.3
-                claims += [
-                    (m, first + f, 1, 0, 0, s, s > 0.6)
-                    for f, s in enumerate(points.tolist())
-                    if s > 0
-                ]
-        case = counts(matched(passes * (length + gap), truth, claims))
-        a, b = (rate_samples(case, "strict", m)[-1] for m in "ab")
-        weights, tosses = bootstrap_weights(passes, rng, 10), coin_tosses(passes, rng)
-        for found in differences(a, b, weights, tosses):
-            rejected[found.figure] += found.p <= 0.05
-    assert max(rejected.values()) <= 13, rejected

@@ -14,7 +14,7 @@ import pytest
 from sonarrec.arrays import ByteImage
 from sonarrec.reports import frames
 from tests.support.browser import chromium
-from tests.support.command import SAMPLE, sonarrec
+from tests.support.command import sonarrec
 from tests.support.pages import without_log
 
 
@@ -35,20 +35,12 @@ def _encoded_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample log, run."""
-    out = tmp_path_factory.mktemp("results")
-    sonarrec("run", SAMPLE, "--out", out, "-q")
-    return out / "pan"
-
-
-@pytest.fixture(scope="session")
-def pages(results: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def pages(pan: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The sample log's report with everything, and with nothing but the results, whose log is
     gone."""
     folder = tmp_path_factory.mktemp("pages")
-    sonarrec("report", results, "-o", folder / "full.html")
-    without_log(results, folder / "pan")
+    sonarrec("report", pan, "-o", folder / "full.html")
+    without_log(pan, folder / "pan")
     sonarrec("report", folder / "pan", "-o", folder / "bare.html")
     return {name: folder / f"{name}.html" for name in ("full", "bare")}
 

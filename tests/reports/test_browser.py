@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.select import Select
 
 from tests.support.browser import COLOURS, contrast, look
 
@@ -49,25 +52,21 @@ return {
 };"""
 
 
-def shown(browser: Any) -> dict[str, Any]:
+def shown(browser: Any) -> Any:
     """What the viewer shows: its texts, its image, and the marks on it by their kind."""
-    found: dict[str, Any] = browser.execute_script(SHOWN)
-    return found
+    return browser.execute_script(SHOWN)
 
 
 def middles(boxes: list[dict[str, float]]) -> np.ndarray:
     return np.array([[b["x"] + b["width"] / 2, b["y"] + b["height"] / 2] for b in boxes])
 
 
-def find(browser: Any, selector: str) -> list[Any]:
-    found: list[Any] = browser.find_elements("css selector", selector)
-    return found
+def find(browser: Any, selector: str) -> Any:
+    return browser.find_elements("css selector", selector)
 
 
 def click(browser: Any, element: Any, share: float = 0.5) -> None:
     """At a share of an element's width, from its left."""
-    from selenium.webdriver import ActionChains
-
     browser.execute_script("arguments[0].scrollIntoView({block: 'start'})", element)
     beside = round((share - 0.5) * element.size["width"])
     ActionChains(browser).move_to_element_with_offset(element, beside, 0).click().perform()
@@ -118,10 +117,6 @@ def test_a_click_on_a_number_shows_that_frame(browser: Any, pages: dict[str, Pat
 
 
 def test_from_frame_to_frame(browser: Any, pages: dict[str, Path]) -> None:
-    from selenium.webdriver import ActionChains
-    from selenium.webdriver.common.keys import Keys
-    from selenium.webdriver.support.select import Select
-
     look(browser, pages["full"], 1280, "light")
     back, on = (find(browser, f"#viewer-{name}")[0] for name in ("back", "on"))
     right = ActionChains(browser).send_keys(Keys.ARROW_RIGHT).perform

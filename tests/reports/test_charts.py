@@ -1,20 +1,21 @@
-"""The report's drawing against brute force."""
+"""What the report gathers of a log and draws of it, against brute force."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.path import Path as Outline
 
 from sonarrec.evaluation import plots
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports import charts
 from sonarrec.reports.glyphs import glyph
+from sonarrec.reports.logs import ReportedLog, alongside, tracks
 from tests.support.claims import all_scored, counts
 from tests.support.pages import random_results, reported
 
@@ -81,17 +82,12 @@ def test_bars_cover_their_frames(count: int) -> None:
 def test_the_landmark_drawn_is_the_landmark() -> None:
     """Each glyph's path, filled by the even-odd rule, against the set's own pattern."""
     landmarks = load_landmarks("basin")
-    x, y = (
-        v.ravel() for v in np.meshgrid(np.linspace(-0.97, 0.97, 60), np.linspace(-0.97, 0.97, 60))
-    )
-    from matplotlib.path import Path as Outline
-
+    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-0.97, 0.97, 60)] * 2))
+    points = np.column_stack([50 + 49 * x, 50 - 49 * y])
     for k in range(len(landmarks.ids)):
         inside = np.zeros(len(x), dtype=bool)
         for part in glyph(landmarks, k).split("M")[1:]:
-            inside ^= Outline(traced(part)).contains_points(
-                np.column_stack([50 + 49 * x, 50 - 49 * y])
-            )
+            inside ^= Outline(traced(part)).contains_points(points)
         expected = landmarks.pattern(k, x, y) > 0.5
         # Grid points on an edge may fall either way.
         assert np.mean(inside != expected) < 0.02
@@ -116,11 +112,15 @@ def traced(part: str) -> np.ndarray:
     return np.vstack([arc(ax, ay, bx, by), arc(dx, dy, cx, cy)])
 
 
-def test_the_roc_runs_along_the_right_axes(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> ReportedLog:
+    return reported(random_results(tmp_path_factory.mktemp("random") / "log"))
+
+
+def test_the_roc_runs_along_the_right_axes(log: ReportedLog) -> None:
     """Every corner of the line and every dot is one of the evaluation's."""
-    case = reported(random_results(tmp_path / "log")).matched
-    assert case is not None
-    scored = all_scored(counts(case))[0]
+    assert log.matched is not None
+    scored = all_scored(counts(log.matched))[0]
     chart = charts.roc(scored.counts, scored.protocol)
     end = plots.roc(scored.counts, scored.protocol).fpr_end
     assert end < 1
@@ -133,11 +133,41 @@ def test_the_roc_runs_along_the_right_axes(tmp_path: Path) -> None:
     assert chart.dots[0][:2] == pytest.approx((100 * count.fpr / end, 100 * count.tpr))
 
 
-def test_a_landmark_that_is_never_declared_has_a_row_where_it_is_in_view(tmp_path: Path) -> None:
-    log = reported(random_results(tmp_path / "log"))
+def test_a_landmark_that_is_never_declared_has_a_row_where_it_is_in_view(log: ReportedLog) -> None:
     assert log.in_view is not None
     shown = np.flatnonzero(log.in_view.any(axis=0)).tolist()
     silent = replace(log.results, declared=np.zeros_like(log.results.declared))
     assert [k for k, _ in charts.timeline(replace(log, results=silent))] == shown
     blind = replace(log, results=silent, matched=None)
     assert charts.timeline(blind) == []
+
+
+def test_truth_beneath_and_estimates_alongside(log: ReportedLog) -> None:
+    """Against loops over every pair."""
+    found, truth = log.results, log.matched
+    assert truth is not None
+    assert log.truth_near is not None
+    assert found.position is not None
+    for n in range(0, len(found.frame_index), 7):
+        best, beneath = found.landmarks.radius_m, -1
+        for t in np.flatnonzero(truth.truths["at"] == found.frame_index[n]):
+            place = truth.truths["x"][t], truth.truths["y"][t]
+            away = np.linalg.norm(found.position[n] - place)
+            if away <= best:
+                best, beneath = away, truth.truths["cell"][t] % len(truth.ids)
+        assert log.truth_near[n] == beneath
+    shown = tracks(log)
+    assert {track.number for track in shown} == {100, 101, 102, 103}
+    smi = np.flatnonzero(log.of_method("smi"))
+    for track in shown:
+        assert (np.diff(track.frame_index) > 0).all()
+        assert (found.object[track.estimates] == track.number).all()
+        for at, row, matched in zip(
+            track.estimates, track.frame_index, alongside(log, track, "smi"), strict=True
+        ):
+            here = smi[found.frame_index[smi] == row]
+            away = np.linalg.norm(found.position[here] - found.position[at], axis=1)
+            if len(here) and away.min() <= found.landmarks.radius_m:
+                assert matched == here[away.argmin()]
+            else:
+                assert matched == -1

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sonarrec.arrays import FloatArray
 from sonarrec.results.read import read_log
-from sonarrec.sonar.geometry import ground_range, plane_from_polar, polar_from_pixel
-from sonarrec.truth.match import Truth, match_truth
+from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
 from tests.support.browser import look
 from tests.support.command import SAMPLE, sonarrec
-from tests.support.review_page import SHIFT, Labeller, Page
-from tests.support.review_page import Truth as Known
+from tests.support.review_page import SHIFT, Page
 from tests.support.rows import read_rows
 
 pytestmark = pytest.mark.slow
@@ -75,94 +72,66 @@ def camp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def of_log(results: Path, truth: Path) -> tuple[Truth, FloatArray]:
-    """A truth, and its (R, 2) places on the floor."""
+@pytest.fixture
+def page(browser: Any, camp: Path, tmp_path: Path) -> Page:
+    """That of the log pan."""
+    made = tmp_path / "pan.html"
+    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
+    return Page(browser, made, tmp_path)
+
+
+def pixels(results: Path, truth: Path) -> dict[tuple[int, int], tuple[float, float]]:
+    """Where a truth has its landmarks, by ID and frame."""
     log = read_log(results)
     assert log.fan is not None
     matched = match_truth(read_truth(truth), log)
-    pixels = matched.pixels(log.fan)
-    assert pixels is not None
-    range_m, bearing_deg = polar_from_pixel(log.fan, *pixels.T)
-    return matched, plane_from_polar(ground_range(log.fan, range_m), bearing_deg)
-
-
-def known(results: Path, truth: Path) -> Known:
-    log = read_log(results)
-    assert log.fan is not None
-    matched = match_truth(read_truth(truth), log)
-    pixels = matched.pixels(log.fan)
-    assert pixels is not None
-    found: Known = {}
-    for n, (x, y) in enumerate(pixels.tolist()):
-        landmark, frame = log.landmarks.ids[matched.landmark_index[n]], matched.frame_index[n]
-        found.setdefault(landmark, {})[int(log.frame[frame])] = x, y, float(matched.visible[n])
-    return found
+    places = matched.pixels(log.fan)
+    assert places is not None
+    ids = np.array(log.landmarks.ids)[matched.landmark_index]
+    frames = log.frame[matched.frame_index]
+    keys = zip(ids.tolist(), frames.tolist(), strict=True)
+    return dict(zip(keys, map(tuple, places.tolist()), strict=True))
 
 
 def test_a_campaign_is_labelled(browser: Any, camp: Path, tmp_path: Path) -> None:
+    """What the recogniser declares is accepted on every page, from each to the next by a key."""
     pages, labelled = tmp_path / "pages", tmp_path / "labelled"
     sonarrec("truth", "review", camp / "logs", "--results", camp / "out", "-o", pages)
     labelled.mkdir()
     look(browser, pages / "index.html", 1280, "dark")
     browser.execute_script("localStorage.clear()")
-    names = ["empty", "pan", "polar", "wide"]
     page = Page(browser, pages / "empty.html", tmp_path)
+    names = ["empty", "pan", "polar", "wide"]
     for name in names:
-        page.page = pages / f"{name}.html"
         assert browser.find_element("css selector", "h1").text == name
-        truth = camp / "truths" / f"{name}.gt.csv"
-        labeller = Labeller(page, known(camp / "out" / name, truth))
-        labeller.work()
-        assert not [one for one in page.passes if one[3] == "open"]
-        assert "same spot" not in page.text("left")
-        saved = page.save()
+        while any(state == "open" for *_, state in page.passes):
+            page.press("a")
+        saved, passes = page.save(), page.passes
         assert saved.name == f"{name}.gt.csv"
-        states = page.passes
         browser.refresh()
-        assert page.passes == states
+        assert page.passes == passes
         shutil.copy(saved, labelled)
         page.press("l")
     # The start page, on which the last one ends, knows of all.
     assert browser.current_url.endswith("index.html")
     cells = [cell.text for cell in browser.find_elements("css selector", ".open")]
     assert cells == ["0"] * 4
-    far, frames = 0, 0
     for name in names[1:]:
-        truth, place = of_log(camp / "out" / name, camp / "truths" / f"{name}.gt.csv")
-        made, made_at = of_log(camp / "out" / name, labelled / f"{name}.gt.csv")
-        assert len(np.unique(np.c_[made.frame_index, made.landmark_index], axis=0)) == made.rows
-        for n in np.flatnonzero(truth.visible >= 0.9):
-            same = (made.frame_index == truth.frame_index[n]) & (
-                made.landmark_index == truth.landmark_index[n]
-            )
-            off = np.linalg.norm(made_at[same] - place[n], axis=1)
-            far += not (off < 0.03).any()
-            frames += 1
-    assert frames > 200
-    assert far < 0.05 * frames
-    # Both commands find what was saved, in one folder; and rates are as those by the real truth.
-    checked = sonarrec("truth", "check", labelled, camp / "logs")
-    assert len([line for line in checked.stdout.splitlines() if "rows, " in line]) == 4
-    rates = []
-    for truths in (labelled, camp / "truths"):
-        sonarrec("evaluate", camp / "out", "--ground-truth", truths, "-q")
-        [row] = (
-            row
-            for row in read_rows(camp / "out" / "evaluation" / "confusion.csv")
-            if (row["protocol"], row["method"], row["landmark"]) == ("strict", "framework", "total")
-        )
-        rates.append(float(row["tpr"]))
-    assert rates[0] == pytest.approx(rates[1], abs=0.005)
+        truth = pixels(camp / "out" / name, camp / "truths" / f"{name}.gt.csv")
+        made = pixels(camp / "out" / name, labelled / f"{name}.gt.csv")
+        off = [np.subtract(made[key], truth[key]) for key in made.keys() & truth.keys()]
+        assert len(off) > 0.6 * len(truth)
+        assert np.quantile(np.hypot(*np.transpose(off)), 0.95) < 4
+    # Both commands find what was saved, in one folder.
+    assert sonarrec("truth", "check", labelled, camp / "logs").stdout.count("rows, ") == 4
+    sonarrec("evaluate", camp / "out", "--ground-truth", labelled, "-q")
 
 
-def test_ends_of_a_pass(browser: Any, camp: Path, tmp_path: Path) -> None:
+def test_ends_of_a_pass(browser: Any, page: Page, camp: Path) -> None:
     """By keys and by a drag on the bar: cut, and carried on by the motion; undone."""
-    truth = known(camp / "out" / "pan", camp / "truths" / "pan.gt.csv")
-    page_of = tmp_path / "pan.html"
-    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", page_of)
-    page = Page(browser, page_of, tmp_path)
-    landmark, first, last, _ = page.passes[0]
+    truth = pixels(camp / "out" / "pan", camp / "truths" / "pan.gt.csv")
     whole = page.passes
+    landmark, first, last, _ = whole[0]
     page.choose(landmark, first)
     page.go(first + 9)
     page.press("b")
@@ -175,23 +144,21 @@ def test_ends_of_a_pass(browser: Any, camp: Path, tmp_path: Path) -> None:
     )
     page.strip(first + 26, first + 14, lane=(1.6 + lane + 0.35) / (1.6 + lanes))
     assert page.passes[0][1:3] == [first + 9, first + 14]
-    Labeller(page, truth).press(SHIFT, "b")
-    Labeller(page, truth).press(SHIFT, "e")
-    begun, _ = page.passes[0][1:3]
-    script = (
+    page.press(SHIFT, "b")
+    page.press(SHIFT, "e")
+    begun = page.passes[0][1]
+    made = browser.execute_script(
         "return current().rows.filter(r => r.made && r.visible > 0.9).map(r => [r.frame, r.x, r.y])"
     )
-    made = browser.execute_script(script)
-    seen = truth[landmark]
     assert len(made) > 15
     assert begun <= first + 1
     for frame, x, y in made:
-        assert np.hypot(x - seen[frame][0], y - seen[frame][1]) < 4, frame
+        assert np.hypot(*np.subtract((x, y), truth[landmark, frame])) < 4, frame
     page.press("u", "u", "u", "u", "u")
     assert page.passes == whole
     # Without motion it stays in its pixel, as far as it is told, and the page says so.
     browser.execute_script("data.poses = {}")
-    Labeller(page, truth).press(SHIFT, "e")
+    page.press(SHIFT, "e")
     assert page.passes == whole
     page.choose(landmark, first)
     end = page.passes[0][2]
@@ -199,6 +166,10 @@ def test_ends_of_a_pass(browser: Any, camp: Path, tmp_path: Path) -> None:
     page.press("e")
     assert page.passes[0][2] == end + 3
     assert "not known" in page.text("say")
+
+
+def decided(page: Page) -> Counter[tuple[Any, ...]]:
+    return Counter((*span, state) for _, *span, state in page.passes if state != "open")
 
 
 def test_rejections_and_pieces_come_back(browser: Any, camp: Path, tmp_path: Path) -> None:
@@ -214,24 +185,19 @@ def test_rejections_and_pieces_come_back(browser: Any, camp: Path, tmp_path: Pat
     page.go(first + 12)
     for _ in range(14):
         page.press("x", "\ue014")
-    before = Counter((one[1], one[2], one[3]) for one in page.passes if one[3] != "open")
+    before = decided(page)
     saved = page.save()
     rejected = [row for row in read_rows(saved) if row["landmark"] == "none"]
     assert rejected
     shutil.copy(saved, tmp_path / "pan.gt.csv")  # beside the log
     sonarrec("truth", "review", log, *where)
     again = Page(browser, made, tmp_path)
-    after = Counter((one[1], one[2], one[3]) for one in again.passes if one[3] != "open")
-    assert after == before
-    assert sorted(map(str, again.passes[-1])) != []
+    assert decided(again) == before
     assert len(again.passes) == len(page.passes)
 
 
-def test_a_whole_pass_is_shifted(browser: Any, camp: Path, tmp_path: Path) -> None:
+def test_a_whole_pass_is_shifted(browser: Any, page: Page) -> None:
     """By as much on the floor in each frame, though the sonar pans."""
-    made = tmp_path / "pan.html"
-    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
-    page = Page(browser, made, tmp_path)
     places = "return current().rows.map(r => floorFromPixel(fan, r.x, r.y))"
     rows = browser.execute_script("return current().rows")
     before = np.array(browser.execute_script(places), dtype=float)
@@ -243,12 +209,8 @@ def test_a_whole_pass_is_shifted(browser: Any, camp: Path, tmp_path: Path) -> No
     size = np.linalg.norm(by, axis=1)
     assert size.min() > 0.05
     assert np.ptp(size) < 0.01
-    pan = np.array(
-        browser.execute_script(
-            "return current().rows.map(r => data.poses[r.frame]).map(p => Math.atan2(p[1], p[0]))"
-        ),
-        dtype=float,
-    )
+    yaws = "return current().rows.map(r => data.poses[r.frame]).map(p => Math.atan2(p[1], p[0]))"
+    pan = np.array(browser.execute_script(yaws), dtype=float)
     rotated = np.unwrap(np.arctan2(by[:, 1], by[:, 0])) - pan
     assert np.ptp(pan) > 0.1
     assert np.ptp(rotated) < 0.02
@@ -281,19 +243,14 @@ def test_the_start_page_reads_saved_tables(browser: Any, camp: Path, tmp_path: P
     assert "other.gt.csv" in browser.find_element("id", "where").text
 
 
-def test_two_tabs(browser: Any, camp: Path, tmp_path: Path) -> None:
-    made = tmp_path / "pan.html"
-    sonarrec("truth", "review", camp / "logs" / "pan", "--results", camp / "out", "-o", made)
+def test_two_tabs(browser: Any, page: Page) -> None:
     first = browser.current_window_handle
-    page = Page(browser, made, tmp_path)
     browser.switch_to.new_window("tab")
     second = browser.current_window_handle
     try:
-        browser.get(made.as_uri())
-        told = "return document.getElementById('twin').checkVisibility()"
-        assert browser.execute_script(
-            f"return new Promise(r => setTimeout(() => r({told[7:]}), 300))"
-        )
+        browser.get(page.page.as_uri())
+        told = "document.getElementById('twin').checkVisibility()"
+        assert browser.execute_script(f"return new Promise(r => setTimeout(() => r({told}), 300))")
         browser.switch_to.window(first)
         page.press("a")
         browser.switch_to.window(second)

@@ -17,13 +17,13 @@ from tests.support.pages import held_frames, reported
 from tests.support.rows import read_rows
 
 
-def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None:
+def test_frames_held_are_the_logs(pages: dict[str, Path], pan: Path) -> None:
     """All of a short log; each with its time, its truth and what every method says where."""
     (log,) = held_frames(pages["full"])
     assert (log["name"], log["unit"], log["methods"]) == ("pan", "s", ["framework", "smi"])
     assert [f["frame"] for f in log["frames"]] == list(range(128))
     declared: dict[tuple[int, str], list[tuple[str, float, float]]] = {}
-    for row in read_rows(results / "estimates.csv"):
+    for row in read_rows(pan / "estimates.csv"):
         if row["declared"] == "1":
             label = f"ID.{row['landmark']}  {float(row['score']):.2f}"
             # Pixel centres are whole numbers in the table, halves on the page.
@@ -50,9 +50,9 @@ def test_frames_held_are_the_logs(pages: dict[str, Path], results: Path) -> None
         assert np.corrcoef(image.ravel(), source.ravel())[0, 1] > 0.97
 
 
-def test_of_each_log_a_frame_is_held(results: Path) -> None:
+def test_of_each_log_a_frame_is_held(pan: Path) -> None:
     """Also where others want all there is room for: a click on the log has to show something."""
-    log = reported(results, SAMPLE / "gt.csv")
+    log = reported(pan, SAMPLE / "gt.csv")
     logs = [replace(log, results=replace(log.results, name=name)) for name in ("a", "b", "c")]
     wanted = [("a", f) for f in range(60)] + [("b", 70)]
     found = frames.choose(logs, wanted, 20)
@@ -68,17 +68,17 @@ def test_frames_held_take_no_more_than_stated() -> None:
         assert source.startswith("data:image/jpeg;base64,")
 
 
-def test_another_log_is_refused(results: Path, tmp_path: Path) -> None:
+def test_another_log_is_refused(pan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pan"
     shutil.copytree(SAMPLE, folder)
     (folder / "000127.png").unlink()
-    fault = sonarrec("report", results, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
+    fault = sonarrec("report", pan, "--log", folder, "-o", tmp_path / "x.html", code=1).stderr
     assert fault.startswith("sonarrec: ")
     assert "another log" in fault
     assert not (tmp_path / "x.html").exists()
     # Nor is a topic that the run had one that was given.
     named = tmp_path / "named"
-    shutil.copytree(results, named)
+    shutil.copytree(pan, named)
     run = (named / "run.toml").read_text()
     run = run.replace('time = "log"\n', 'time = "header"\ntopic = "/sonar"\n')
     (named / "run.toml").write_text(run)

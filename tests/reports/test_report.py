@@ -7,7 +7,6 @@ import hashlib
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from click.testing import CliRunner
 from sonarrec.cli import main
 from sonarrec.evaluation.rows import PROTOCOLS
 from sonarrec.reports import screen
-from tests.support.claims import all_scored, evaluate
+from tests.support.claims import evaluate
 from tests.support.command import SAMPLE, sonarrec
 from tests.support.pages import DECLARED, PLACED, Page, as_written, tables, without_log
 from tests.support.rows import read_rows, write_rows
@@ -24,9 +23,9 @@ from tests.support.rows import read_rows, write_rows
 PASSES = "Declared by framework, a row per pass, in order of first sight"
 
 
-def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> None:
-    sonarrec("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q")
-    confusion = read_rows(results / "evaluation" / "confusion.csv")
+def test_tables_are_the_evaluations(pages: dict[str, Path], pan: Path) -> None:
+    sonarrec("evaluate", pan, "--ground-truth", SAMPLE / "gt.csv", "-q")
+    confusion = read_rows(pan / "evaluation" / "confusion.csv")
     page = Page(pages["full"])
     for method in ("smi", "framework"):
         for protocol in PROTOCOLS:
@@ -42,8 +41,8 @@ def test_tables_are_the_evaluations(pages: dict[str, Path], results: Path) -> No
                         assert cell == "0.0000*"
 
 
-def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None:
-    found, page = evaluate(results, SAMPLE / "gt.csv").summary, Page(pages["full"])
+def test_figures_are_the_summarys(pages: dict[str, Path], pan: Path) -> None:
+    found, page = evaluate(pan, SAMPLE / "gt.csv").summary, Page(pages["full"])
     assert all(note in page.text for note in found.notes)
     for method in ("smi", "framework"):
         for name, digits in (("auc", 3), ("ece", 3), ("position_error_95_m", 4)):
@@ -55,10 +54,10 @@ def test_figures_are_the_summarys(pages: dict[str, Path], results: Path) -> None
             assert told in re.sub(r"\s+", "", page.text)
 
 
-def test_false_claims_are_told_per_100_frames(pages: dict[str, Path], results: Path) -> None:
+def test_false_claims_are_told_per_100_frames(pages: dict[str, Path], pan: Path) -> None:
     """Of each method, protocol strict first; so many are the frames of its results."""
-    frames = len(read_rows(results / "frames.csv"))
-    counts = evaluate(results, SAMPLE / "gt.csv").counts
+    frames = len(read_rows(pan / "frames.csv"))
+    counts = evaluate(pan, SAMPLE / "gt.csv").counts
     rows = next(
         rows for caption, rows in Page(pages["full"]).tables.items() if "per 100" in caption
     )
@@ -99,17 +98,15 @@ def test_nothing_is_fetched_and_one_script_runs(pages: dict[str, Path]) -> None:
         assert (kinds.count("img") > 6) == (name == "full")
 
 
-def test_the_page_says_what_was_assumed_and_what_the_methods_are(
-    results: Path, tmp_path: Path
-) -> None:
-    shutil.copytree(results, tmp_path / "pan")
+def test_the_page_says_what_was_assumed_and_what_the_methods_are(pan: Path, tmp_path: Path) -> None:
+    shutil.copytree(pan, tmp_path / "pan")
     run = tmp_path / "pan" / "run.toml"
     for height, tilt, expected in (
         (True, True, ("20 deg", "0.68 m")),
         (True, False, ("15.78 deg assumed", "0.68 m")),
         (False, True, ("20 deg", "0.855 m assumed")),
     ):
-        text = (results / "run.toml").read_text()
+        text = (pan / "run.toml").read_text()
         text = re.sub("^(path|place) = .*\n", "", text, flags=re.MULTILINE)  # so without pictures
         for key, stated in (("height_m", height), ("tilt_deg", tilt)):
             text = text if stated else re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
@@ -125,8 +122,7 @@ def test_the_page_says_what_was_assumed_and_what_the_methods_are(
 
 def test_without_truth_and_log_the_page_says_so(pages: dict[str, Path]) -> None:
     page = Page(pages["bare"])
-    assert "ground truth" in page.text
-    assert "(--log)" in page.text
+    assert "--log" in page.text
     assert "TPR" not in page.text
     assert not [name for name, _ in page.elements if name == "img"]
     seen = page.tables[PASSES]
@@ -150,11 +146,8 @@ def test_results_of_another_program(tmp_path: Path) -> None:
     truth = ("--ground-truth", tmp_path / "gt.csv", "--min-visible", "0.995")
     sonarrec("report", tmp_path, *truth)
     page = Page(tmp_path / "report.html")
-    assert "in view (at least 99.5% of it)" in page.text
-    assert "least 99.5%" in page.text
-    assert "ID.1 declared (0.90) while" in page.text
-    assert "ID.1 in view" in page.text
-    assert "run.toml" in page.text
+    for fact in ("least 99.5%", "ID.1 declared (0.90)", "ID.1 in view", "run.toml"):
+        assert fact in page.text
 
 
 ROW = "{},{},1,2.0,0.0,.9,.05,.05,0,0,1,.9,1"
@@ -163,10 +156,7 @@ ODD_RESULTS: dict[str, tuple[list[tuple[int, int]], list[str]]] = {
     "one frame": ([(7, 5)], [ROW.format(7, "framework")]),
     "single-frame method only": ([(0, 5), (1, 9)], [ROW.format(1, "smi")]),
     "times that fall": ([(0, 9), (1, 5)], [ROW.format(1, "framework")]),
-    "one estimate in a gap": (
-        [(n, n) for n in (0, 1, 50)],
-        [ROW.format(n, "framework") for n in (0, 50)],
-    ),
+    "a gap": ([(n, n) for n in (0, 1, 50)], [ROW.format(n, "framework") for n in (0, 50)]),
 }
 
 
@@ -190,39 +180,9 @@ def test_odd_results(tmp_path: Path, name: str, truth: str | None) -> None:
         assert "nan" not in str(attributes.get("d")) + str(attributes.get("style"))
 
 
-@pytest.mark.slow
-def test_several_logs(results: Path, tmp_path: Path) -> None:
-    root = tmp_path / "out"
-    for name in ("first", "pan"):
-        shutil.copytree(results, root / name)
-    run = root / "first" / "run.toml"  # as if of another recording: one counts once
-    run.write_text(re.sub('sha256 = "[0-9a-f]*"', f'sha256 = "{"0" * 64}"', run.read_text()))
-    head, *rows = (SAMPLE / "gt.csv").read_text().splitlines()
-    lines = [f"log,{head}", *(f"{name},{row}" for name in ("first", "pan") for row in rows)]
-    (tmp_path / "gt.csv").write_text("\n".join(lines) + "\n")
-    sonarrec("report", root, "--ground-truth", tmp_path / "gt.csv", "--log", SAMPLE)
-    page = Page(root / "report.html")
-    assert "2 recorded sonar" in page.text
-    first, second = page.named["All logs"][2:]
-    assert (first[:3], second[:3]) == (["first", "done", "128"], ["pan", "done", "128"])
-    assert first[3:] == second[3:]
-    found = all_scored(evaluate(results, SAMPLE / "gt.csv").counts)
-    leading, other = (s.count() for s in found if s.protocol == "strict")
-    assert first[3:7] == [*rates(leading), str(leading.fn), str(leading.fp)]
-    assert float(first[7]) == pytest.approx(100 * leading.fp / 256, abs=0.005)
-    assert first[8:] == rates(other)
-    assert [name for name, _ in page.elements].count("img") == 3  # mistakes of the first method
-    other = sonarrec("report", root, "--log", tmp_path, code=2)
-    assert "these logs" in other.stderr
-
-
-def rates(count: Any) -> list[str]:
-    return [f"{count.tpr:.4f}", f"{count.fpr:.4f}"]
-
-
-def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path: Path) -> None:
+def test_of_logs_of_different_landmark_sets_one_is_shown(pan: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        without_log(results, tmp_path / name)
+        without_log(pan, tmp_path / name)
     run = tmp_path / "b" / "run.toml"
     run.write_text(run.read_text().replace("id = 2\n", "id = 7\n"))
     estimates = tmp_path / "b" / "estimates.csv"
@@ -235,11 +195,11 @@ def test_of_logs_of_different_landmark_sets_one_is_shown(results: Path, tmp_path
 
 
 @pytest.mark.slow
-def test_a_false_claim_is_called_one(results: Path, tmp_path: Path) -> None:
+def test_a_false_claim_is_called_one(pan: Path, tmp_path: Path) -> None:
     """Under an ID that lies nowhere: the picture says so. Of alike scores the true one is shown."""
-    shutil.copytree(results, tmp_path / "pan")
+    shutil.copytree(pan, tmp_path / "pan")
     (tmp_path / "pan" / "sightings.csv").unlink()
-    rows = read_rows(results / "estimates.csv")
+    rows = read_rows(pan / "estimates.csv")
     for row in rows:  # the first of all sightings is false, and as sure as any
         if row["method"] == "framework" and row["declared"] == "0" and row["frame"] == "4":
             row |= {"declared": "1", "landmark": "1", "score": "1.0"}

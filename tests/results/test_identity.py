@@ -54,7 +54,8 @@ def results(tmp_path: Path) -> Path:
 def test_results_of_another_version_are_told_by_all_that_use_them_and_made_anew(
     results: Path,
 ) -> None:
-    log, home, file = results.parents[1] / "pan", results.parents[1], results / "run.toml"
+    home, file = results.parents[1], results / "run.toml"
+    log = home / "pan"
     used = [
         ("evaluate", results, "--ground-truth", SAMPLE / "gt.csv", "-q"),  # which keeps notes
         ("overlay", log, results, "-o", home / "o.mcap"),
@@ -102,10 +103,8 @@ def test_a_log_digested_another_way_is_changed(tmp_path: Path) -> None:
     sha256 = read_run(file).input.sha256
     assert sha256 is not None
     file.write_text(made.replace(sha256, sha256[::-1]))
-    assert (
-        "another log"
-        in sonarrec("overlay", log, tmp_path / "out", "-o", tmp_path / "o", code=1).stderr
-    )
+    told = sonarrec("overlay", log, tmp_path / "out", "-o", tmp_path / "o", code=1).stderr
+    assert "another log" in told
     assert "replaced" in sonarrec("run", log, "-o", tmp_path / "out").stderr
     assert file.read_text() == made
 

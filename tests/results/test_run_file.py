@@ -15,6 +15,7 @@ from sonarrec.sonar.geometry import in_image, pixel_from_polar
 from sonarrec.sonar.stated import Sonar
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
+from tests.support.slow import but_first
 
 RUN = """\
 finished = false
@@ -72,7 +73,7 @@ def test_the_fan_ends_with_the_image_and_where_none_is_stated_nowhere(tmp_path: 
     assert in_image(fan, *near_corner)
     for rows in ('"many"', "0"):
         wrong = RUN.replace("rows = 300", f"rows = {rows}")
-        with pytest.raises(SonarrecError, match=r"run\.toml: fan\.rows must"):
+        with pytest.raises(SonarrecError, match=r"run\.toml: fan\.rows"):
             read_run(written(tmp_path, wrong))
 
 
@@ -109,10 +110,10 @@ class OtherLog:
 def test_another_log_is_told_by_its_sha256_else_by_its_frames(tmp_path: Path) -> None:
     (tmp_path / "frames.csv").write_text("frame\n0\n1\n")
     run = read_run(written(tmp_path, RUN))
-    with pytest.raises(SonarrecError, match=r"another log, dive.*, or of other\.mcap"):
+    with pytest.raises(SonarrecError, match=r"dive.* other\.mcap"):
         check_same_log(OtherLog(), tmp_path, run)
     nothing = read_run(tmp_path / "gone.toml")
-    with pytest.raises(SonarrecError, match="frame 1 is listed"):
+    with pytest.raises(SonarrecError, match="frame 1 "):
         check_same_log(OtherLog(), tmp_path, nothing)
     (tmp_path / "frames.csv").write_text("frame\n0\n")
     check_same_log(OtherLog(), tmp_path, nothing)
@@ -159,28 +160,19 @@ def test_rows_that_were_cut_since_are_told_and_run_anew(tmp_path: Path) -> None:
     assert "input.estimates" in sonarrec(*score, code=1).stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("frames.csv", "a row more"),
-        ("estimates.csv", "another ID"),
-        ("sightings.csv", "another ID"),
-    ],
-)
-def test_tables_that_were_edited_are_told_and_run_anew(
-    name: str, change: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", but_first(["estimates.csv", "sightings.csv", "frames.csv"]))
+def test_tables_that_were_edited_are_told_and_run_anew(name: str, tmp_path: Path) -> None:
+    """Another ID in the last row, or a row more."""
     log, folder = sample_log(tmp_path / "pan", 8), tmp_path / "out" / "pan"
     sonarrec("run", log, "-o", tmp_path / "out", "-q")
     truth, drawn = SAMPLE / "gt.csv", ("-o", tmp_path / "o.mcap")
     usual = sonarrec("evaluate", folder, "--ground-truth", truth, "-q", code=3).stderr
     sonarrec("overlay", log, folder, *drawn)
     whole = (folder / name).read_bytes()
-    lines = whole.splitlines(keepends=True)
-    if change == "a row more":
-        (folder / name).write_bytes(whole + lines[-1].replace(b"7,", b"99,", 1))
-    else:
-        (folder / name).write_bytes(b"".join([*lines[:-1], lines[-1].replace(b"1", b"2", 1)]))
+    *lines, last = whole.splitlines(keepends=True)
+    more = [last, last.replace(b"7,", b"99,", 1)]
+    changed = more if name == "frames.csv" else [last.replace(b"1", b"2", 1)]
+    (folder / name).write_bytes(b"".join([*lines, *changed]))
     told = sonarrec("evaluate", folder, "--ground-truth", truth, "-q", code=3).stderr
     assert f"{name} was changed" in told
     assert f"{name} was changed" not in usual

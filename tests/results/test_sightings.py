@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.api.run import run
+from sonarrec.cli.run import found_in
 from sonarrec.errors import SonarrecError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.results.folders import part_of
 from sonarrec.results.sightings import Sighting, Sightings, read_sightings, sightings_in
 from sonarrec.results.write import ResultsWriter
-from sonarrec.runs.one import MOST_SIGHTINGS
+from sonarrec.runs.one import MOST_SIGHTINGS, _outcome
 from sonarrec.sonar.frame import Estimate, FrameResult
 from sonarrec.sonar.geometry import pose_table
 from tests.results.test_write import tables
@@ -59,17 +60,6 @@ def gathered(frames: dict[int, list[Estimate]], sightings: Sightings | None = No
     return found + sightings.close_all()
 
 
-@pytest.mark.parametrize(("again", "passes"), [(14, 1), (15, 2)])
-def test_a_pass_ends_after_ten_frames_without_a_declaration(again: int, passes: int) -> None:
-    """Frame 4 is the last declared one: 5 to 13 are nine without, 5 to 14 ten."""
-    between = {f: [claim(declared=False)] for f in range(5, again)}
-    frames = {f: [claim()] for f in (3, 4)} | between | {again: [claim()]}
-    found = gathered(frames)
-    assert len(found) == passes
-    assert (found[0].first_frame, found[-1].last_frame) == (3, again)
-    assert found[0].end_ns == found[0].last_frame * 10**8
-
-
 @pytest.mark.parametrize("landmark", [1, 2])
 def test_turns_that_look_the_same_are_one_direction(landmark: int) -> None:
     """ID.2 looks the same after half a turn, and is read as one or the other."""
@@ -101,16 +91,9 @@ def test_every_figure_is_what_numpy_says_of_the_pass(rows: list[tuple]) -> None:
     frames: dict[int, list[Estimate]] = defaultdict(list)
     by_key = defaultdict(list)
     for frame, method, number, landmark, score, range_m, turn, sigma, declared in rows:
-        e = claim(
-            method,
-            object=number,
-            landmark=landmark,
-            score=score,
-            range_m=range_m,
-            orientation_deg=turn,
-            range_sigma_m=math.nan if method == "smi" else sigma,
-            declared=declared,
-        )
+        read = {"object": number, "landmark": landmark, "score": score, "declared": declared}
+        read |= {"range_m": range_m, "orientation_deg": turn}
+        e = claim(method, **read, range_sigma_m=math.nan if method == "smi" else sigma)
         frames[frame].append(e)
         if declared:
             by_key[method, landmark, None if method == "smi" else number].append((frame, e))
@@ -121,26 +104,22 @@ def test_every_figure_is_what_numpy_says_of_the_pass(rows: list[tuple]) -> None:
         for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(at) > 10) + 1):
             inside = [found[n][1] for n in part]
             turns = np.exp(1j * np.radians([e.orientation_deg for e in inside]))
-            expected.append(
-                (
-                    (*key, at[part[0]], at[part[-1]], len(set(at[part]))),
-                    np.mean([e.score for e in inside]),
-                    max(e.score for e in inside),
-                    np.mean([e.range_m for e in inside]),
-                    turns.mean(),
-                    np.sqrt(np.mean([e.range_sigma_m**2 for e in inside])),
-                )
-            )
+            scores, ranges = [e.score for e in inside], [e.range_m for e in inside]
+            sigma = np.sqrt(np.mean([e.range_sigma_m**2 for e in inside]))
+            span = *key, at[part[0]], at[part[-1]], len(set(at[part]))
+            told = np.mean(scores), max(scores), np.mean(ranges), turns.mean(), sigma
+            expected.append((span, *told))
     found_all = gathered(frames)
     assert [s.last_frame for s in found_all] == sorted(s.last_frame for s in found_all)
 
     def ident(s: Sighting) -> tuple:
         return s.method, s.landmark, s.track, s.first_frame, s.last_frame, s.frames_declared
 
-    told = {ident(s): s for s in found_all}
-    assert len(told) == len(found_all) == len(expected)
+    by_span = {ident(s): s for s in found_all}
+    assert len(by_span) == len(found_all) == len(expected)
     for key, mean, best, range_m, turn, sigma in expected:
-        s = told[key]
+        s = by_span[key]
+        assert (s.start_ns, s.end_ns) == (s.first_frame * 10**8, s.last_frame * 10**8)
         assert (s.mean_score, s.best_score) == (pytest.approx(mean), best)
         assert s.range_m == pytest.approx(range_m)
         assert s.range_sigma_m == pytest.approx(sigma, nan_ok=True)
@@ -165,9 +144,8 @@ def test_the_place_on_the_floor_is_the_same_from_wherever_it_is_seen() -> None:
         frames[n] = [claim(range_m=away, bearing_deg=(bearing + 180) % 360 - 180)]
     [s] = gathered(frames, Sightings(BASIN, fan, table))
     assert (s.x_m, s.y_m) == pytest.approx(mark)
-    [s] = gathered(
-        frames, Sightings(BASIN, fan, replace(table, axes="ahead, left"))
-    )  # as ROS has them
+    as_ros = replace(table, axes="ahead, left")
+    [s] = gathered(frames, Sightings(BASIN, fan, as_ros))
     assert (s.x_m, s.y_m) == pytest.approx((mark[1], -mark[0]))
     [unknown] = gathered({9: [claim()]}, Sightings(BASIN, fan, table))
     assert math.isnan(unknown.x_m)
@@ -195,12 +173,8 @@ def test_the_tables_give_the_same_sightings(results: Path, tmp_path: Path, why: 
     for one, other in zip(found, written, strict=True):
         for name in CONTRACT.split(","):
             a, b = getattr(one, name), getattr(other, name)
-            if isinstance(b, float):
-                assert a == pytest.approx(
-                    b, abs=0.06 if "orientation" in name else 2e-3, nan_ok=True
-                )
-            else:
-                assert a == b, name
+            near = 0.06 if "orientation" in name else 2e-3
+            assert a == (pytest.approx(b, abs=near, nan_ok=True) if isinstance(b, float) else b)
 
 
 def broken_off(folder: Path) -> None:
@@ -232,9 +206,6 @@ def test_a_wrong_cell_is_told_with_its_line(results: Path, tmp_path: Path, cell:
 
 def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
     """Of thirty passes the longest, in order, with the calendar's time."""
-    from sonarrec.cli.run import found_in
-    from sonarrec.runs.one import _outcome
-
     start = 1_700_000_000 * 10**9
     with ResultsWriter(tmp_path / "dive", BASIN, tables()) as writer:
         for i in range(30 * 40):
@@ -242,11 +213,10 @@ def test_the_table_is_bounded_and_says_how_many_more(tmp_path: Path) -> None:
             writer.write(FrameResult(i, start + i * 10**8, 1, 1, (claim(declared=seen),)))
         writer.finish([])
     outcome = _outcome(tmp_path / "dive", ["framework"], [], frames=1200, candidates=1200)
-    passes, kept, landmarks = outcome.passes, outcome.sightings, outcome.landmarks
-    assert passes == {"framework": 30}
-    assert [s.frames_declared for s in kept] == list(range(11, 31))
-    assert len(kept) == MOST_SIGHTINGS
-    assert landmarks == {kept[0].landmark: sum(range(1, 31))}
+    kept = outcome.sightings
+    assert outcome.passes == {"framework": 30}
+    assert [s.frames_declared for s in kept] == list(range(31 - MOST_SIGHTINGS, 31))
+    assert outcome.landmarks == {kept[0].landmark: sum(range(1, 31))}
     lines = found_in(outcome, outcome.folder)
     assert len(lines) == MOST_SIGHTINGS + 3
     assert "UTC" in lines[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +18,9 @@ def test_estimates_come_back_as_written(tmp_path: Path) -> None:
     path = write_results(tmp_path / "r", rows) / "estimates.csv"
     found = dict(read_estimates(path, "framework", BASIN, FAN))
     assert sorted(found) == [1, 3]
-    for read, written in zip(
-        itertools.chain(found[1], found[3]), itertools.chain(rows[1], rows[3]), strict=True
-    ):
-        assert (read.object, read.landmark, read.declared, read.x_px, read.y_px) == (
-            written.object, written.landmark, written.declared, written.x_px, written.y_px,
-        )  # fmt: skip
+    exact = attrgetter("object", "landmark", "declared", "x_px", "y_px")
+    for read, written in zip([*found[1], *found[3]], [*rows[1], *rows[3]], strict=True):
+        assert exact(read) == exact(written)
         np.testing.assert_allclose(read.probabilities, written.probabilities, atol=1e-6)
 
 
@@ -58,28 +55,28 @@ def test_choice_of_method(tmp_path: Path) -> None:
     assert chosen(wanted="smi") == "smi"
     assert chosen("smi", "framework:b", "framework:a") == "framework:a"
     assert chosen("smi", "yolo") == "yolo"
-    with pytest.raises(UsageError, match="no method 'x'; there is smi"):
+    with pytest.raises(UsageError, match=r"'x'.* smi"):
         chosen("smi", wanted="x")
 
 
 @pytest.mark.parametrize(
     ("row", "fault"),
     [
-        ("0,m,1,1,9,0.5,0", "line 3: landmark 9 is not in the set 'basin'"),
-        ("0,m,1,1,x,0.5,0", "line 3: landmark must be a whole number, not 'x'"),
-        ("1.5,m,1,1,1,0.5,0", "line 3: frame must be a whole number"),
-        ("0,m,nan,1,1,0.5,0", "line 3: no position"),
-        ("0,m,,1,1,0.5,0", "line 3: no position"),
-        ("0,m,1e300,1,1,0.5,0", "line 3: .*_.* must be a finite number from -1e9 to 1e9"),
-        ("0,m,1,1,1,high,0", "line 3: score must be a finite number"),
-        ("0,m,1,1,1,0.5,yes", "line 3: declared must be 0 or 1"),
-        ("0,m", "line 3: landmark must be a whole number, not an empty cell"),
-        ("-1,m,1,1,1,0.5,0", "line 3: frame -1 after frame 0"),
+        ("0,m,1,1,9,0.5,0", "landmark 9 .*basin"),
+        ("0,m,1,1,x,0.5,0", "landmark .*'x'"),
+        ("1.5,m,1,1,1,0.5,0", "frame "),
+        ("0,m,nan,1,1,0.5,0", "no position"),
+        ("0,m,,1,1,0.5,0", "no position"),
+        ("0,m,1e300,1,1,0.5,0", "x_px .*-1e9 to 1e9"),
+        ("0,m,1,1,1,high,0", "score "),
+        ("0,m,1,1,1,0.5,yes", "declared .*0 or 1"),
+        ("0,m", "landmark .*empty"),
+        ("-1,m,1,1,1,0.5,0", "frame -1 .*frame 0"),
     ],
 )
 def test_bad_rows_are_told_by_line(row: str, fault: str, tmp_path: Path) -> None:
     path = csv_file(tmp_path / "e.csv", HEAD, "0,m,1,1,1,0.5,0", row)
-    with pytest.raises(SonarrecError, match=fault):
+    with pytest.raises(SonarrecError, match=f"line 3: {fault}"):
         list(read_estimates(path, "m", BASIN, FAN))
 
 

@@ -79,12 +79,13 @@ def test_a_worker_is_killed_and_no_log_is_lost(
         (tmp_path / "slow.go").touch()
         _, said = running.communicate(timeout=300)
     assert running.returncode == 3, said
+    done = ("a", "b", "slow", "c", "d")
     states = {name: row["status"] for name, row in rows(out).items()}
-    assert states == {**dict.fromkeys(["a", "b", "slow", "c", "d"], "done"), "dies": "failed"}
+    assert states == {**dict.fromkeys(done, "done"), "dies": "failed"}
     assert "SIGKILL" in rows(out)["dies"]["message"]
     here = tmp_path / "here"
     sonarrec("run", *logs[:3], *logs[4:], "-o", here, "-q")
-    assert all(tables(out / n) == tables(here / n) for n in ("a", "b", "slow", "c", "d"))
+    assert all(tables(out / n) == tables(here / n) for n in done)
 
 
 @pytest.mark.slow
@@ -112,11 +113,9 @@ def test_a_scheduler_that_dies_is_told_for_each_log_that_waits(
 
 @pytest.mark.slow
 def test_a_cluster_without_a_worker_is_told(tmp_path: Path) -> None:
-    task = Job(
-        str(tmp_path / "none.mcap"), "none", str(tmp_path / "out"), LogOptions(), RunOptions(())
-    )
-    from distributed import LocalCluster
+    from distributed import LocalCluster  # here: to load it takes long
 
+    task = Job(str(tmp_path / "none"), "none", str(tmp_path), LogOptions(), RunOptions(()))
     events: list[object] = []
     with LocalCluster(n_workers=0, dashboard_address=None) as empty:
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -31,35 +33,40 @@ from tests.support.batch import (
 )
 from tests.support.camp import make_camp
 from tests.support.command import sample_log, sonarrec
+from tests.support.logs import cdr_image, frames, mcap_file
+from tests.test_docs import PAGES, code_lines
+
+BIN = Path(sys.executable).parent
+
+
+def states(out: Path) -> dict[str, str]:
+    return {name: row["status"] for name, row in rows(out).items()}
 
 
 @pytest.mark.slow
 def test_a_log_that_dies_or_raises_costs_itself_only(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "b", "dies", "c", "raises", "d")
+    logs = made(tmp_path, "a", "b", "dies", "c", "raises", "d", "cut")
     (tmp_path / "broken").mkdir()
+    (tmp_path / "cut" / "000001.png").write_bytes(b"not an image")
     out = tmp_path / "out"
-    done = subprocess.run(
-        command("run", *logs, tmp_path / "broken", "-j", 2, "-o", out),
-        capture_output=True,
-        text=True,
-        env=environment(tmp_path),
-    )
+    call = command("run", *logs, tmp_path / "broken", "-j", 2, "-o", out)
+    done = subprocess.run(call, capture_output=True, text=True, env=environment(tmp_path))
     assert done.returncode == 3, done.stderr
-    told = rows(out)
-    states = {name: row["status"] for name, row in told.items()}
-    assert [name for name, state in states.items() if state == "done"] == ["a", "b", "c", "d"]
-    assert {name for name, state in states.items() if state == "failed"} == {
-        "dies",
-        "raises",
-        "broken",
-    }
+    told, failed = rows(out), ("dies", "raises", "broken")
+    ended = {**dict.fromkeys("abcd", "done"), **dict.fromkeys(failed, "failed")}
+    assert states(out) == ended | {"cut": "partial"}
+    assert told["cut"]["unusable"] == "1"
     assert "SIGKILL" in told["dies"]["message"]
-    assert "bug in sonarrec" in told["raises"]["message"]
+    assert "bug" in told["raises"]["message"]
     assert "ZeroDivisionError: a fault" in done.stderr
-    assert "4 done, 3 failed" in done.stderr
+    assert "4 done, 1 partial, 3 failed" in done.stderr
     alone = tmp_path / "alone"
     sonarrec("run", logs[0], "-o", alone, "-q")
     assert all(tables(out / name) == tables(alone / "a") for name in "abcd")
+    # A second call does what failed or was partly read.
+    shutil.copy(SAMPLE / "000001.png", tmp_path / "cut")
+    sonarrec("run", *logs, "-o", out, "-q", "--overwrite")
+    assert states(out) == {**dict.fromkeys(ended | {"cut": ""}, "done"), "broken": "failed"}
 
 
 def test_logs_whose_process_cannot_be_started_have_failed(
@@ -74,7 +81,7 @@ def test_logs_whose_process_cannot_be_started_have_failed(
     call = ["run", *made(tmp_path, "a", "b", frames=1), "-j", "2", "-o", tmp_path / "out"]
     told = sonarrec(*call, code=1).stderr
     assert f"{tmp_path / 'a'}: no process" in told
-    assert {row["status"] for row in rows(tmp_path / "out").values()} == {"failed"}
+    assert states(tmp_path / "out") == {"a": "failed", "b": "failed"}
 
 
 def test_a_fault_beside_the_processes_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,15 +128,10 @@ def test_a_call_that_is_stopped_goes_on(
         assert (told["status"], told["message"]) == ("waiting", "stopped")
         assert int(told["frames"]) == len(kept) - 1
     assert not (out / "slow").exists()
-    finished = {
-        name: (out / name / "run.toml").stat().st_mtime_ns
-        for name in "abc"
-        if (out / name).exists()
-    }
+    finished = {file: file.stat().st_mtime_ns for file in out.glob("?/run.toml")}
     sonarrec("run", *logs, "-o", out)
-    for name, when in finished.items():
-        assert (out / name / "run.toml").stat().st_mtime_ns == when, "done twice"
-    assert {row["status"] for row in rows(out).values()} == {"done"}
+    assert {file: file.stat().st_mtime_ns for file in finished} == finished, "done twice"
+    assert {*states(out).values()} == {"done"}
     for log in logs:
         assert tables(out / log.name) == undisturbed["slow" if log.name == "slow" else "short"]
 
@@ -179,7 +181,7 @@ def test_a_log_that_another_call_has_in_hand_keeps_that_call_s_row(tmp_path: Pat
     first.add(0, Outcome("done"))
     first.write()
     second.write()
-    assert rows(tmp_path)["a"]["status"] == "done"
+    assert states(tmp_path) == {"a": "done"}
 
 
 def test_a_log_that_ended_is_told_though_nothing_happens_after(tmp_path: Path) -> None:
@@ -197,33 +199,9 @@ def test_a_log_that_cannot_be_found_has_a_row_of_its_own(tmp_path: Path) -> None
     gone = tmp_path / "day3" / "dive.mcap"
     logs, out = [log, tmp_path / "day2" / "dive.mcap", gone], tmp_path / "out"
     sonarrec("run", *logs, "-j", "1", "-o", out, code=3)
-    assert {name: row["status"] for name, row in rows(out).items()} == {
-        "day1-dive": "done",
-        "day2-dive": "failed",
-        "day3-dive": "failed",
-    }
+    failed = dict.fromkeys(("day2-dive", "day3-dive"), "failed")
+    assert states(out) == {"day1-dive": "done", **failed}
     assert (out / "day1-dive" / "run.toml").is_file()
-
-
-@pytest.mark.slow
-def test_a_second_call_does_what_failed_or_was_partly_read(tmp_path: Path) -> None:
-    logs = made(tmp_path, "a", "cut", "dies", frames=3)
-    (logs[1] / "000001.png").write_bytes(b"not an image")
-    out = tmp_path / "out"
-    call = ["run", *logs, "-o", out, "-j", "2"]  # on one core, too
-    first = subprocess.run(
-        command(*call), env=environment(tmp_path), capture_output=True, text=True
-    )
-    assert "1 done, 1 partial, 1 failed: " in first.stderr
-    assert {n: row["status"] for n, row in rows(out).items()} == {
-        "a": "done",
-        "cut": "partial",
-        "dies": "failed",
-    }
-    assert rows(out)["cut"]["unusable"] == "1"
-    shutil.copy(SAMPLE / "000001.png", logs[1])
-    sonarrec(*call, "--overwrite")
-    assert [row["status"] for row in rows(out).values()] == ["done"] * 3
 
 
 @pytest.mark.slow
@@ -251,29 +229,23 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("command", "flag", "text", "line", "code"),
+    ("words", "text", "fault", "code"),
     [
-        ("run", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg", 2),
-        ("info", "--sonar", "[sonar]\ntilt_degg = 3\n", ": unknown key sonar.tilt_degg", 2),
-        (
-            "run",
-            "--odometry",
-            "timestamp,yaw\n0,a\n1,2\n",
-            " line 2: yaw must be a finite number",
-            1,
-        ),
+        ("run --sonar", "[sonar]\ntilt_degg = 3\n", "tilt_degg", 2),
+        ("info --sonar", "[sonar]\ntilt_degg = 3\n", "tilt_degg", 2),
+        ("run --odometry", "timestamp,yaw\n0,a\n1,2\n", " line 2: yaw", 1),
     ],
 )
 def test_a_file_given_for_all_logs_is_told_once(
-    command: str, flag: str, text: str, line: str, code: int, tmp_path: Path
+    words: str, text: str, fault: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     logs, bad = made(tmp_path, "a", "b", "c", frames=2), tmp_path / "bad"
     bad.write_text(text)
-    out = ["-o", tmp_path / "out"] if command == "run" else []
-    told = sonarrec(command, *logs, flag, bad, *out, code=code).stderr
-    assert told.startswith(f"sonarrec: {bad}{line}")
-    assert told.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    [told] = sonarrec(*words.split(), bad, *logs, code=code).stderr.splitlines()
+    assert told.startswith(f"sonarrec: {bad}")
+    assert fault in told
+    assert not (tmp_path / "sonarrec_out").exists()
 
 
 @pytest.mark.slow
@@ -283,32 +255,29 @@ def test_a_refused_namesake_leaves_the_row_of_results_that_stand(tmp_path: Path)
     shutil.copy(SAMPLE / "000005.png", logs[1] / "000001.png")  # another log
     out = tmp_path / "out"
 
-    def states() -> dict[str, str]:
+    def by_path() -> dict[str, str]:
         return {row.path: row.status for row in read_logs(out / "logs.csv")}
 
     sonarrec("run", logs[0], logs[2], "-o", out, "-q")
     both = ["run", logs[1], logs[2], "-o", out]
     assert "another log" in sonarrec(*both, code=3).stderr
-    assert states() == {str(logs[0]): "done", str(logs[2]): "done", str(logs[1]): "failed"}
+    assert by_path() == {str(logs[0]): "done", str(logs[2]): "done", str(logs[1]): "failed"}
     kept = tables(out / "dive")
     assert "holds the results" in sonarrec(*both, code=3).stderr
     assert tables(out / "dive") == kept, "replaced unasked"
     sonarrec(*both, "--overwrite", "-q")
-    assert states() == {str(logs[2]): "done", str(logs[1]): "done"}
+    assert by_path() == {str(logs[2]): "done", str(logs[1]): "done"}
 
 
 def test_equal_lines_are_one_and_failures_come_again_at_the_end(tmp_path: Path) -> None:
     make_camp(tmp_path / "camp", 5, 3)
-    done = sonarrec(
-        "run", tmp_path / "camp", "--recursive", "-j", 1, "-o", tmp_path / "out", code=3
-    )
-    lines = done.stderr.splitlines()
+    call = ("run", tmp_path / "camp", "--recursive", "-j", 1, "-o", tmp_path / "out")
+    lines = sonarrec(*call, code=3).stderr.splitlines()
     assert len([line for line in lines if ": geometry " in line]) == 2  # one a landmark set
     assert "sonarrec: 2 more logs: as dive01" in lines
-    reason = [n for n, line in enumerate(lines) if "not one frame could be used" in line]
-    counted = next(n for n, line in enumerate(lines) if "4 done, 1 failed" in line)
-    assert reason[0] < counted < reason[1]
-    assert len(reason) == 2
+    first, again = (n for n, line in enumerate(lines) if "not one frame" in line)
+    [counted] = (n for n, line in enumerate(lines) if "4 done, 1 failed" in line)
+    assert first < counted < again
 
 
 def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
@@ -324,10 +293,50 @@ def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_memory_of_a_run_does_not_grow_with_the_log(tmp_path: Path) -> None:
     peaks = []
-    for frames in (1000, 4000):
-        log = sample_log(tmp_path / str(frames), 0)
-        for n in range(frames):
+    for count in (1000, 4000):
+        log = sample_log(tmp_path / str(count), 0)
+        for n in range(count):
             (log / f"{n:06d}.png").symlink_to(SAMPLE / f"{n % 128:06d}.png")
         run = ["-m", "sonarrec", "run", str(log), "-q", "-o", str(tmp_path / "out")]
         peaks.append(peak_mb([sys.executable, *run]))
     assert peaks[1] < 1.05 * peaks[0]
+
+
+@pytest.fixture
+def shared(tmp_path: Path) -> Path:
+    """A folder that all machines see, with four logs in two folders and the program's .venv."""
+    place = tmp_path / "shared"
+    for n, name in enumerate("abcd"):
+        log = place / "dives" / str(n % 2) / f"{name}.mcap"
+        images = frames(3, seed=n)
+        mcap_file(log, [("/s", k * 10**8, cdr_image(image)) for k, image in enumerate(images)])
+    (place / ".venv").mkdir()
+    (place / ".venv" / "bin").symlink_to(BIN)
+    (tmp_path / "bin").mkdir()
+    srun = tmp_path / "bin" / "srun"
+    srun.write_text('#!/bin/sh\nexec "$@"\n')
+    srun.chmod(srun.stat().st_mode | stat.S_IXUSR)
+    return place
+
+
+@pytest.mark.slow
+def test_a_slurm_array(shared: Path) -> None:
+    """Every log is done, by one of the tasks, of which none had nothing to do."""
+    blocks = re.split(r"\n\n+", "\n".join(code_lines(PAGES["run"])))
+    [script] = (block for block in blocks if re.search("(?m)^#SBATCH", block))
+    (shared / "job.sh").write_text(f"{script}\n")
+    given = {"SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1", "SCRATCH": str(shared)}
+    given["PATH"] = os.pathsep.join([f"{shared.parent}/bin", str(BIN), os.environ["PATH"]])
+
+    def task(number: int) -> str:
+        env = os.environ | given | {"SLURM_ARRAY_TASK_ID": str(number)}
+        return subprocess.run(
+            ["sh", "job.sh"], cwd=shared, env=env, capture_output=True, text=True, check=True
+        ).stdout
+
+    done = [re.findall(r"(?m)^(?:.*results/)?(\w)(?: +3 |: 3 frames)", task(n)) for n in (1, 2)]
+    assert sorted(done[0] + done[1]) == [*"abcd"]
+    assert all(done)
+    status = {name: row["status"] for name, row in rows(shared / "results").items()}
+    assert status == dict.fromkeys("abcd", "done")
+    assert "2 up" in task(1)

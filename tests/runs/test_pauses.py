@@ -14,13 +14,13 @@ import pytest
 
 from sonarrec import evaluate
 from sonarrec.advice.rows import check_truth
-from sonarrec.api.run import run
 from sonarrec.config import preset
 from sonarrec.landmarks import load_landmarks
 from sonarrec.overlays import overlay as overlays
 from sonarrec.readers import open_log
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.results.read import read_log
+from sonarrec.results.sightings import read_sightings
 from sonarrec.simulation.render import render
 from sonarrec.simulation.scene import scene_fan
 from sonarrec.simulation.simulate import simulate
@@ -85,52 +85,14 @@ def test_no_belief_goes_over_a_pause(name: str) -> None:
     assert claimed(PERIOD_NS) & set(IDS)
 
 
-def test_motion_begins_anew() -> None:
-    results = recognised(5 * 10**9)
-    assert [r.index for r in results] == list(range(2 * FRAMES))
-    assert [r.index for r in results if r.motion is None] == [0, FRAMES]
-    assert [r.index for r in recognised(PERIOD_NS) if r.motion is None] == [0]
-
-
 def test_the_paper_begins_with_even_beliefs() -> None:
     """Eq. 5 spreads the beliefs of all objects of the frame before."""
-    first = recognised(5 * 10**9)[FRAMES]
-    of_paper = [e for e in first.estimates if e.method == "framework:paper"]
-    alone = [e for e in recognised(5 * 10**9)[0].estimates if e.method == "framework:paper"]
-    assert of_paper
-    highest = max(float(e.probabilities.max()) for e in of_paper)
-    assert highest <= max(float(e.probabilities.max()) for e in alone) + 0.1
-
-
-def claims_of(folder: Path, method: str = "framework") -> list[dict[str, str]]:
-    rows = read_rows(folder / "estimates.csv")
-    return [r for r in rows if r["method"] == method and r["declared"] == "1"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["dive", "dive.mcap"])
-@pytest.mark.parametrize("pause_s", [5.0, 30.0, 3600.0])
-@pytest.mark.parametrize("wanted", ["default", "offline"])
-def test_other_discs_after_a_pause_are_not_taken_for_those_before(
-    name: str, pause_s: float, wanted: str, tmp_path: Path
-) -> None:
-    log = paused(tmp_path / name, pause_s)
-    run(log, tmp_path / "out", preset=wanted)
-    scores = evaluate(tmp_path / "out" / "dive")
-    counts = scores.counts.count("framework", "strict")
-    assert counts.fp == 0
-    assert counts.tpr > 0.95
-    for row in read_rows(tmp_path / "out" / "dive" / "sightings.csv"):
-        assert int(row["first_frame"]) // 60 == int(row["last_frame"]) // 60
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wanted", ["default", "offline"])
-def test_without_the_pause_they_are(wanted: str, tmp_path: Path) -> None:
-    """So the test above can fail."""
-    run(paused(tmp_path / "dive", 0.25), tmp_path / "out", preset=wanted)
-    counts = evaluate(tmp_path / "out" / "dive").counts.count("framework", "strict")
-    assert counts.fp > 40
+    results = recognised(5 * 10**9)
+    first, again = (
+        max(float(e.probabilities.max()) for e in r.estimates if e.method == "framework:paper")
+        for r in (results[0], results[FRAMES])
+    )
+    assert again <= first + 0.1
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +113,6 @@ def test_pauses_are_told(dive: Path) -> None:
     told = sonarrec("info", dive).output
     assert line in told
     assert "4 Hz" in told
-    assert " 0." not in told.split("channels")[1].split("\n")[0]  # no mean rate
     assert line in (dive.parent / "told.txt").read_text()
     (found,) = json.loads(sonarrec("info", dive, "--json").stdout)["logs"]
     assert found["images"][0]["rate_hz"] == pytest.approx(4)
@@ -214,10 +175,13 @@ def joined(dive: Path, tmp_path: Path) -> Path:
         (folder / name).write_bytes((results(dive) / name).read_bytes())
     text = (folder / "run.toml").read_text()
     (folder / "run.toml").write_text(text.replace("finished = true", "finished = false"))
-    rows = [r for r in claims_of(results(dive)) if r["landmark"] == "1"]
+    rows = read_rows(results(dive) / "estimates.csv")
+    [first, *_] = (
+        r for r in rows if (r["method"], r["declared"], r["landmark"]) == ("framework", "1", "1")
+    )
     every = [n for n in range(3 * FRAMES) if not 20 <= n < 28]
     stamps = {r["frame"]: r["timestamp_ns"] for r in read_rows(folder / "frames.csv")}
-    found = [rows[0] | {"frame": n, "timestamp_ns": stamps[str(n)], "object": 1} for n in every]
+    found = [first | {"frame": n, "timestamp_ns": stamps[str(n)], "object": 1} for n in every]
     write_rows(folder / "estimates.csv", found)
     return folder
 
@@ -233,19 +197,11 @@ def test_stretches_are_numbered_and_other_programs_need_not(dive: Path, joined: 
 
 
 def test_sightings_and_passes_of_other_programs_end_there(joined: Path, tmp_path: Path) -> None:
-    from sonarrec.results.sightings import read_sightings
-
     spans = [(s.first_frame, s.last_frame) for s in read_sightings(joined)]
     assert spans == [(0, 19), (28, 47), (48, 71)]
-    truth = tmp_path / "gt.csv"
-    write_rows(
-        truth,
-        [
-            {"frame": n, "landmark": 1, "range_m": 2.0, "bearing_deg": 0.0}
-            for n in range(3 * FRAMES)
-        ],
-    )
-    scores = evaluate(joined, truth)
+    seen = {"landmark": 1, "range_m": 2.0, "bearing_deg": 0.0}
+    write_rows(tmp_path / "gt.csv", [{"frame": n} | seen for n in range(3 * FRAMES)])
+    scores = evaluate(joined, tmp_path / "gt.csv")
     passes = scores.passes.query("protocol == 'strict' and method == 'framework'")
     spans = [*zip(passes.first_frame, passes.last_frame, strict=True)]
     assert spans == [(0, 23), (24, 47), (48, 71)]
@@ -353,24 +309,6 @@ def test_a_clock_that_was_set_back_ends_tracks_whichever_names_the_frames(tmp_pa
         sonarrec("run", log, "--time", clock, "-o", out, "--overwrite")
         rows = read_rows(out / "dive" / "frames.csv")
         assert [r["frame"] for r in rows if not r["dyaw_deg"]] == ["0", "12"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("hole_s", "wrong"), [(30.0, range(1)), (0.25, range(40, 99))])
-def test_a_pause_that_only_header_stamps_show(hole_s: float, wrong: range, tmp_path: Path) -> None:
-    """Other discs lie in the same places afterwards."""
-    images = [frame.image for scene in parts(60, 2) for frame in render(scene)]
-    stamps = [START_NS + n * PERIOD_NS + (n >= 60) * round(hole_s * 1e9) for n in range(120)]
-    sent = [
-        ("/sonar", n * PERIOD_NS, cdr_image(image, stamp=divmod(stamp, 10**9)))
-        for n, (image, stamp) in enumerate(zip(images, stamps, strict=True))
-    ]
-    log, out = mcap_file(tmp_path / "dive.mcap", sent), tmp_path / "out"
-    like = paused(tmp_path / "like.mcap", 5.0)  # for its geometry and truth
-    for name in ("sonar.toml", "gt.csv"):
-        like.with_name(f"like.{name}").rename(log.with_name(f"dive.{name}"))
-    run(log, out)
-    assert evaluate(out / "dive").counts.count("framework", "strict").fp in wrong
 
 
 @pytest.mark.parametrize(("named", "pauses"), [(True, 1), (False, 0)])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import socket
 import threading
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import pytest
@@ -163,7 +163,7 @@ def test_no_message_has_a_secret(words: str) -> None:
 
 def test_what_takes_no_url_says_so() -> None:
     told = sonarrec("evaluate", "s3://user:pw@bucket/results", code=2).stderr
-    assert "s3://bucket/results: URLs are for" in told
+    assert told.startswith("sonarrec: s3://bucket/results: ")
     assert is_url(Path("s3://bucket/a"))
     assert not is_url("a:b/c")
     with pytest.raises(SonarrecError, match="only s3://"):
@@ -172,8 +172,6 @@ def test_what_takes_no_url_says_so() -> None:
 
 
 SECRETS = ("s3cret", "s3'cret", "s3 cret", "s3/cret", "s3@cret", "s3%2Fcret", "s3cret/+=s3cret")
-
-
 URLS = (
     "http://me:{}@127.0.0.1:1/a.mcap",
     "https://127.0.0.1:1/a.mcap#token={}",
@@ -200,6 +198,10 @@ def test_no_library_and_no_option_tells_a_secret(url: str, secret: str, tmp_path
 def test_a_server_that_does_not_answer_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def late(*_: object) -> None:
+        raise AssertionError("it still waits")
+
+    signal.signal(signal.SIGALRM, late)
     monkeypatch.setattr(remote, "TIMEOUT_S", 1)
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "made-up")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "made-up")
@@ -207,7 +209,7 @@ def test_a_server_that_does_not_answer_is_given_up(
         host = f"127.0.0.1:{server.getsockname()[1]}"
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}")
         for url in (f"http://{host}/a.mcap", "s3://bucket/a.mcap"):
-            start_s = monotonic()
+            signal.alarm(60)  # its handler fails the test: not after minutes
             told = sonarrec("run", url, "-o", tmp_path / "out", code=1).stderr
+            signal.alarm(0)
             assert len(told.splitlines()) == 1
-            assert monotonic() - start_s < 30  # not after minutes

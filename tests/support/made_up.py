@@ -36,49 +36,6 @@ def make_logs(place: Path, logs: int, frames: int, kinds: int = 5) -> Path:
     return table
 
 
-def make_sides(place: Path, logs: int, frames: int, kinds: int = 5) -> tuple[Path, Path, Path]:
-    """Old results of logs, new ones and a table of pairs that names the truth of the old.
-
-    The new lack every seventh frame of one method, claim another ID in every eleventh, and hold
-    back every thirteenth claim of the other method; of every fifth log the last 20 frames are
-    missing.
-    """
-    pairs = make_logs(place, logs, frames, kinds)
-    old, new = place / "out", place / "new"
-    for n in range(logs):
-        was, folder = old / f"log{n:04d}", new / f"log{n:04d}"
-        folder.mkdir(parents=True)
-        short = n % 5 == 4
-        of = (was / "frames.csv").resolve().parent
-        made = place / f"{of.name}{'short' if short else 'new'}"
-        if not made.is_dir():
-            made.mkdir()
-            _changed(of, made, frames - 20 if short else frames)
-        for name in ("frames.csv", "estimates.csv"):
-            (folder / name).symlink_to(made / name)
-        text = (was / "run.toml").read_text()
-        (folder / "run.toml").write_text(text + f"[config]\nseed = {n % 2}\n")
-    return old, new, pairs
-
-
-def _changed(of: Path, to: Path, frames: int) -> None:
-    head, *lines = (of / "frames.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-    (to / "frames.csv").write_text(head + "".join(lines[:frames]), encoding="utf-8")
-    with (of / "estimates.csv").open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        header, rows = tuple(reader.fieldnames or ()), []
-        for row in reader:
-            frame, method = int(row["frame"]), row["method"]
-            if frame >= frames or (method == "framework" and frame % 7 == 3):
-                continue
-            if method == "framework" and frame % 11 == 0:
-                row["landmark"] = str(IDS[int(row["landmark"]) % len(IDS)])
-            if method == "smi" and frame % 13 == 0:
-                row["declared"] = "0"
-            rows.append(tuple(row.values()))
-    _write(to / "estimates.csv", header, rows)
-
-
 def _tables(folder: Path, frames: int, seed: int) -> Path:
     """A landmark after the other in view; a candidate and a track on it, one of each elsewhere."""
     folder.mkdir()

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.keys import Keys
+
 from tests.support.browser import look
 
-ENTER = "\ue007"
 SHIFT = "\ue008"
-Truth = dict[int, dict[int, tuple[float, float, float]]]
-"""By ID and frame: the pixel, and the share in view."""
 
 
 class Page:
@@ -31,9 +30,12 @@ class Page:
             self.faults = look(browser, page, width, "dark")
 
     def press(self, *keys: str) -> None:
-        from selenium.webdriver import ActionChains
-
-        ActionChains(self.browser).send_keys(*keys).perform()
+        act = ActionChains(self.browser)
+        if keys[:1] == (SHIFT,):
+            act = act.key_down(SHIFT).send_keys(*keys[1:]).key_up(SHIFT)
+        else:
+            act = act.send_keys(*keys)
+        act.perform()
 
     def text(self, part: str) -> str:
         return str(self.browser.find_element("id", part).get_attribute("textContent"))
@@ -42,8 +44,7 @@ class Page:
     def passes(self) -> list[list[Any]]:
         """ID, first and last frame, state of each."""
         of = "[p.landmark, p.rows[0].frame, p.rows.at(-1).frame, p.state]"
-        found: list[list[Any]] = self.browser.execute_script(f"return passes.map(p => {of})")
-        return found
+        return list(self.browser.execute_script(f"return passes.map(p => {of})"))
 
     def choose(self, landmark: int, first: int) -> None:
         """Click the pass in the list."""
@@ -53,16 +54,12 @@ class Page:
 
     def go(self, frame: int) -> None:
         """By the arrows."""
-        from selenium.webdriver.common.keys import Keys
-
         now = int(self.browser.execute_script("return now"))
         self.press(*[Keys.ARROW_RIGHT if frame > now else Keys.ARROW_LEFT] * abs(frame - now))
         assert self.text("title") == f"Frame {frame}"
 
     def pointer(self, x: float, y: float, *, drag: tuple[float, float] = (0, 0)) -> float:
         """Press at a pixel of the fan, and drag by so many; returns screen pixels a pixel."""
-        from selenium.webdriver import ActionChains
-
         svg = self.browser.find_element("id", "marks")
         left, top, width, height, scale = self.screen()
         at = round(left + x * scale - width / 2), round(top + y * scale - height / 2)
@@ -74,8 +71,6 @@ class Page:
 
     def strip(self, frame: int, to: int | None = None, lane: float = 0) -> None:
         """Press on the bar of frames, and drag to another frame. lane: 0 on top, 1 at the foot."""
-        from selenium.webdriver import ActionChains
-
         bar = self.browser.find_element("id", "strip")
         width, height = bar.size["width"], bar.size["height"]
         first, frames = self.browser.execute_script("return [data.first, data.frames]")
@@ -93,12 +88,13 @@ class Page:
 
     def screen(self) -> tuple[float, ...]:
         """Where in its box the frame's pixel 0, 0 is; the box's sides; screen pixels a pixel."""
-        found: list[float] = self.browser.execute_script(
-            "const svg = document.getElementById('marks'), box = svg.getBoundingClientRect();"
-            "const m = svg.getScreenCTM();"
-            "return [m.e - box.left, m.f - box.top, box.width, box.height, m.a]"
+        return tuple(
+            self.browser.execute_script(
+                "const svg = document.getElementById('marks'), box = svg.getBoundingClientRect();"
+                "const m = svg.getScreenCTM();"
+                "return [m.e - box.left, m.f - box.top, box.width, box.height, m.a]"
+            )
         )
-        return tuple(found)
 
     def save(self) -> Path:
         """What is downloaded."""
@@ -112,82 +108,3 @@ class Page:
                     return file
             time.sleep(0.02)
         raise AssertionError(self.text("say"))
-
-
-class Labeller:
-    """A person who knows the truth and decides on every pass, by keys and clicks, counted."""
-
-    def __init__(self, page: Page, truth: Truth, before: int = 10**9) -> None:
-        """before: frames from this one on are not looked at."""
-        self.page, self.truth, self.before = page, truth, before
-        self.keys = self.clicks = 0
-
-    def press(self, *keys: str) -> None:
-        """A key with Shift is one."""
-        self.keys += sum(key != SHIFT for key in keys)
-        if SHIFT not in keys:
-            self.page.press(*keys)
-            return
-        from selenium.webdriver import ActionChains
-
-        act = ActionChains(self.page.browser).key_down(SHIFT).send_keys(*keys[1:]).key_up(SHIFT)
-        act.perform()
-
-    def go(self, frame: int) -> None:
-        """By the arrows if few steps do, else by a click on the bar of frames."""
-        now = int(self.page.browser.execute_script("return now"))
-        if abs(frame - now) > 6:
-            self.page.strip(frame)
-            self.clicks += 1
-            now = int(self.page.browser.execute_script("return now"))
-        self.keys += abs(frame - now)
-        self.page.go(frame)
-
-    def work(self) -> None:
-        script = "const p = current(); return p && [p.landmark, p.state, p.rows]"
-        while True:
-            found = self.page.browser.execute_script(script)
-            if found is None or found[1] != "open" or found[2][0]["frame"] >= self.before:
-                break
-            self.decide(found[0], found[2])
-        for landmark in self.truth:
-            while (frame := self.missing(landmark)) is not None:
-                self.draw(landmark, frame)
-
-    def decide(self, landmark: int, rows: list[dict[str, Any]]) -> None:
-        votes = Counter(self.nearest(row) for row in rows)
-        true, number = votes.most_common(1)[0]
-        if true is None or number < len(rows) / 2:
-            self.press("r")
-            return
-        seen = self.truth[true]
-        for key, end, by in (("b", rows[0]["frame"], -1), ("e", rows[-1]["frame"], 1)):
-            if seen.get(end + by, (0, 0, 0))[2] > 0:
-                self.press(SHIFT, key)
-        self.press("a" if true == landmark else str(true))
-
-    def nearest(self, row: dict[str, Any]) -> int | None:
-        for landmark, seen in self.truth.items():
-            x, y, _ = seen.get(row["frame"], (-99, -99, 0))
-            if abs(x - row["x"]) + abs(y - row["y"]) < 12:
-                return landmark
-        return None
-
-    def missing(self, landmark: int) -> int | None:
-        """The middle of the frames, to where it leaves the view, in which nothing is accepted."""
-        script = """return passes.filter(p => p.landmark === arguments[0] && p.state === 'accepted')
-          .flatMap(p => p.rows.map(r => r.frame))"""
-        has = set(self.page.browser.execute_script(script, landmark))
-        whole = [n for n, of in self.truth[landmark].items() if of[2] >= 0.9 and n < self.before]
-        left = [n for n in whole if n not in has]
-        run = [n for k, n in enumerate(left) if n - left[0] == k]
-        return run[len(run) // 2] if run else None
-
-    def draw(self, landmark: int, frame: int) -> None:
-        self.go(frame)
-        self.press("n", str(landmark))
-        self.page.pointer(*self.truth[landmark][frame][:2])
-        self.clicks += 1
-        self.press(SHIFT, "b")
-        self.press(SHIFT, "e")
-        self.press(ENTER)
