@@ -159,3 +159,8 @@ def test_a_run_of_one_frame_has_no_hints_that_cannot_help() -> None:
     told = sonarrec("run", "dive", *words).stderr
     assert "single frame" in told
     assert "--range-order" not in told
+
+
+@pytest.mark.parametrize("text", ["two", "2.5", "4 cores"])
+def test_a_whole_number_is_asked_for_with_an_example(text: str) -> None:
+    assert "such as 2" in refused("run", "x", "--jobs", text)

@@ -115,3 +115,17 @@ def test_a_mistake_ends_at_a_pause(tmp_path: Path) -> None:
         (20, 21, "false"),
         (22, 22, "false"),
     ]
+
+
+@pytest.mark.parametrize(("frames", "at_start"), [(1, "0"), (2, "1")])
+def test_a_single_frame_has_no_start(tmp_path: Path, frames: int, at_start: str) -> None:
+    log = tmp_path / "log"
+    tables(
+        log,
+        range(frames),
+        "frame,method,landmark,range_m,bearing_deg,score,declared",
+        ["0,framework,3,2.0,0,0.4,0"],
+    )
+    (log / "gt.csv").write_text("frame,landmark,range_m,bearing_deg\n0,4,3.0,0\n")
+    sonarrec("evaluate", log, "--ground-truth", log / "gt.csv", "-q")
+    assert [r["at_start"] for r in read_rows(log / "evaluation" / "mistakes.csv")] == [at_start]

@@ -25,7 +25,7 @@ from sonarrec.recogniser.drawn.drawings import (
     uneven_light,
 )
 from sonarrec.recogniser.drawn.model import built_in_model
-from sonarrec.recogniser.drawn.pose import Fit
+from sonarrec.recogniser.drawn.pose import BOUNDS, Fit
 from sonarrec.recogniser.drawn.stage2 import Plates
 from sonarrec.recogniser.drawn.three_stages import PlateStages, pose_fitter
 from sonarrec.recogniser.stage2 import ContinuityFilter
@@ -181,3 +181,18 @@ def test_corners_of_a_real_still_are_where_they_were_published(tmp_path: Path) -
     square = corners.mean(axis=0) + (corners - corners.mean(axis=0)) * 3 / 7
     offset = np.hypot(*(square[:, None] - wanted[None]).transpose(2, 0, 1)).min(axis=0)
     assert np.median(offset) < 0.03
+
+
+@pytest.mark.parametrize("pose", ["free", "floor"])
+def test_poses_have_the_singular_values_of_a_plate(pose: PlatePose) -> None:
+    fitter = pose_fitter(preset("default"), make_fan(), replace(family(), pose=pose))
+    rng = np.random.default_rng(3)
+    poses = np.column_stack([rng.uniform(0, 99, (400, 2)), rng.normal(0, 15, (400, 4))])
+    left, values, right = np.linalg.svd(poses[:, 2:].reshape(-1, 2, 2))
+    low, high, least = fitter.plane.axes[0] * np.array(BOUNDS[pose])
+    values[:, 0] = values[:, 0].clip(low, high)
+    values[:, 1] = np.minimum(values[:, 1].clip(least), values[:, 0])
+    found = fitter._within(poses)
+    assert found[:, 2:] == pytest.approx(((left * values[:, None]) @ right).reshape(-1, 4))
+    assert (found[:, :2] == poses[:, :2]).all()
+    assert fitter._within(found) == pytest.approx(found)

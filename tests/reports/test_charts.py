@@ -171,3 +171,16 @@ def test_truth_beneath_and_estimates_alongside(log: ReportedLog) -> None:
                 assert matched == here[away.argmin()]
             else:
                 assert matched == -1
+
+
+@given(st.floats(-100, 100), st.floats(0.1, 1e4), st.integers(2, 8))
+def test_ticks_are_round_and_few(low: float, length: float, most: int) -> None:
+    found = charts.Axis(low, low + length).ticks(most)
+    values = np.array([float(text) for _, text in found])
+    assert 1 <= len(values) - 1 <= most
+    step = np.diff(values).mean()
+    assert values == pytest.approx(step * np.round(values / step), abs=1e-6 * step)
+    assert f"{step:.9e}"[:4] in ("1.00", "2.00", "2.50", "5.00")
+    assert values.min() >= low - 1e-6 * step
+    assert values.max() <= low + length + 1e-6 * step
+    assert [at for at, _ in found] == pytest.approx(100 * (values - low) / length, abs=0.01)

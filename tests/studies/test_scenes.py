@@ -14,6 +14,7 @@ from sonarrec.simulation.scene import MotionSection, PlacedLandmark, PlacedObjec
 from sonarrec.simulation.simulate import write_recording
 from tests.studies import baseline, plates, scenes
 from tests.studies.baseline import METHOD, Settings
+from tests.studies.learning import plates as lessons
 from tests.studies.paper.world import kept_worlds
 from tests.support.claims import all_scored, evaluate
 from tests.support.command import sonarrec
@@ -101,3 +102,11 @@ def test_in_the_paper_s_worlds_the_framework_finds_more_than_smi(tmp_path: Path)
         }
         gains.append(tpr["framework"] - tpr["smi"])
     assert np.median(gains) > 0.05
+
+
+def test_plates_are_learned_from_sets_of_every_family() -> None:
+    for made in lessons.FAMILIES:
+        drawing = made(np.random.default_rng(0))
+        assert drawing.any()
+        assert not drawing.all()
+    assert len(lessons._family()) == 2591
