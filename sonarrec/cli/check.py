@@ -12,7 +12,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import PARTLY, WORSE, leave, print_notes, say
-from sonarrec.cli.groups import FOLDER, Whole, command, file_names, in_batch, in_output
+from sonarrec.cli.groups import FOLDER, IntegerRange, command, file_names, in_batch, in_output
 from sonarrec.errors import SonarrecError, UsageError, command_line, number_of
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @options.limits
 @in_batch(
     "-j --jobs",
-    type=Whole(min=1),
+    type=IntegerRange(min=1),
     help="How many logs run at once.  [default: the number of cores]",
 )
 @in_output(

@@ -95,7 +95,7 @@ class FiniteRange(click.FloatRange):
         return number
 
 
-class Whole(click.IntRange):
+class IntegerRange(click.IntRange):
     """A whole number within bounds."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -9,7 +9,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish
-from sonarrec.cli.groups import ANY, FILE, FOLDER, Whole, command, in_input, in_output
+from sonarrec.cli.groups import ANY, FILE, FOLDER, IntegerRange, command, in_input, in_output
 from sonarrec.errors import UsageError, number_of
 
 
@@ -30,7 +30,7 @@ from sonarrec.errors import UsageError, number_of
 @options.method
 @in_input(
     "--min-frames",
-    type=Whole(min=1),
+    type=IntegerRange(min=1),
     default=3,
     help="Leave out landmarks declared in fewer frames.",
 )

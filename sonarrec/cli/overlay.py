@@ -10,7 +10,7 @@ import click
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import finish, progress
-from sonarrec.cli.groups import ANY, Whole, command, file_names, in_input
+from sonarrec.cli.groups import ANY, IntegerRange, command, file_names, in_input
 from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ Target = tuple[Path, Path | None, Sequence["Mistake"]]
 @options.frame_list("Draw these frames, in place of those of the run.")
 @in_input(
     "--mistakes",
-    type=Whole(min=1),
+    type=IntegerRange(min=1),
     metavar="N",
     help="Draw the worst frame of each of the N longest mistakes, with the truth, as `evaluate` "
     "finds both.",

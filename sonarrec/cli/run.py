@@ -26,7 +26,15 @@ from sonarrec.cli.endings import (
     progress,
     say,
 )
-from sonarrec.cli.groups import FILE, Whole, command, file_names, in_batch, in_input, in_output
+from sonarrec.cli.groups import (
+    FILE,
+    IntegerRange,
+    command,
+    file_names,
+    in_batch,
+    in_input,
+    in_output,
+)
 from sonarrec.errors import SonarrecError, UsageError, is_url, name_as_text, number_of, printable
 from sonarrec.sonar.frame import date_text, is_date
 
@@ -76,7 +84,7 @@ class _FolderOrUrl(click.Path):
 )
 @in_batch(
     "-j --jobs",
-    type=Whole(min=1),
+    type=IntegerRange(min=1),
     help="How many logs run at once, each in its own process; 1: one after the other, in this "
     "process.  [default: the number of cores]",
 )

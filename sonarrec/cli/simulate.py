@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sonarrec.cli import options
 from sonarrec.cli.endings import progress, say
-from sonarrec.cli.groups import ANY, Whole, command, file_names, in_input
+from sonarrec.cli.groups import ANY, IntegerRange, command, file_names, in_input
 from sonarrec.errors import number_of
 
 
@@ -17,10 +17,10 @@ from sonarrec.errors import number_of
     default="paper",
     help="Scene: a built-in name (paper, basin, plates, sample_pan, sample_polar) or a TOML file.",
 )
-@in_input("--seed", type=Whole(min=0), help="Seed, in place of that of the scene.")
+@in_input("--seed", type=IntegerRange(min=0), help="Seed, in place of that of the scene.")
 @in_input(
     "--frames",
-    type=Whole(1, 10**9),
+    type=IntegerRange(1, 10**9),
     metavar="N",
     help="Number of frames, in place of that of the scene.",
 )

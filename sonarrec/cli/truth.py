@@ -20,7 +20,7 @@ from sonarrec.cli.groups import (
     NUMBER,
     FiniteRange,
     GroupedCommand,
-    Whole,
+    IntegerRange,
     file_names,
     in_input,
     in_output,
@@ -74,7 +74,7 @@ def _label_map(_: click.Context, __: click.Parameter, texts: tuple[str, ...]) ->
 )
 @in_input(
     "--first-frame",
-    type=Whole(),
+    type=IntegerRange(),
     default=0,
     metavar="N",
     help="Number of the log's first frame in the images' names.",
@@ -244,7 +244,7 @@ def _truths(given: Path, log: str | None) -> list[tuple[Path, str]]:
 )
 @in_scoring(
     "--max-gap",
-    type=Whole(min=0),
+    type=IntegerRange(min=0),
     default=8,
     help="Longest gap in a track that is filled in, frames.",
 )
@@ -299,7 +299,7 @@ def propose(
     help="Results of LOG, or the folder that holds them.  [default: sonarrec_out]",
 )
 @options.method
-@in_input("--every", type=Whole(min=1), default=1, help="Put every N-th frame in the page.")
+@in_input("--every", type=IntegerRange(min=1), default=1, help="Put every N-th frame in the page.")
 @options.frame_list("Put these frames in the page.")
 @in_scoring(
     "--mistakes",

@@ -91,9 +91,9 @@ def comparisons(
     return np.stack([*matches, *across, *along], axis=1)
 
 
-def _products(one: FloatImage, other: FloatImage) -> FloatImage:
+def _products(pictures: FloatImage, others: FloatImage) -> FloatImage:
     """(n,) sums of the products of n pictures' samples."""
-    return np.asarray(np.einsum("nij,nij->n", one, other))
+    return np.asarray(np.einsum("nij,nij->n", pictures, others))
 
 
 @functools.cache

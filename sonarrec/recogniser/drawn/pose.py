@@ -102,8 +102,8 @@ class PoseFitter:
         positions: (n, 2). others: of each, poses of plates that are known: it does not lie on
         these.
         """
-        found = self.candidates(image, positions, others)
-        return [max(fits, key=lambda fit: fit.odds) for fits in found]
+        candidates = self.candidates(image, positions, others)
+        return [max(fits, key=lambda fit: fit.odds) for fits in candidates]
 
     def candidates(
         self, image: FloatImage, positions: FloatArray, others: Sequence[Sequence[FloatArray]]
@@ -113,17 +113,17 @@ class PoseFitter:
             return []
         # All are refined together: a step costs little more for many poses than for one.
         starts = [
-            self._starts(image, place, poses)
-            for place, poses in zip(positions, others, strict=True)
+            self._starts(image, position, known)
+            for position, known in zip(positions, others, strict=True)
         ]
         poses, rows, ways = (np.concatenate(part) for part in zip(*starts, strict=True))
         fits = self._refined(image, poses, (rows, ways), FIRST_ROUNDS)
-        places = np.split(np.arange(len(fits)), np.cumsum([len(one[0]) for one in starts])[:-1])
-        best = [sorted(place, key=lambda n: -fits[n].odds)[:BEST] for place in places]
+        parts = np.split(np.arange(len(fits)), np.cumsum([len(start[0]) for start in starts])[:-1])
+        best = [sorted(part, key=lambda n: -fits[n].odds)[:BEST] for part in parts]
         chosen = np.concatenate(best)
         poses = np.array([fits[n].pose for n in chosen])
-        found = iter(self._refined(image, poses, (rows[chosen], ways[chosen]), ROUNDS))
-        return [list(islice(found, len(some))) for some in best]
+        refined = iter(self._refined(image, poses, (rows[chosen], ways[chosen]), ROUNDS))
+        return [list(islice(refined, len(part))) for part in best]
 
     def _starts(
         self, image: FloatImage, position: FloatArray, others: Sequence[FloatArray]
@@ -293,14 +293,14 @@ class PoseFitter:
         # A matrix is a scaled rotation and a scaled mirroring, here as complex numbers; its
         # singular values are the sum and the difference of their sizes, which is below 0 where
         # the whole is mirrored.
-        turned, mirrored = (a + d + 1j * (c - b)) / 2, (a - d + 1j * (c + b)) / 2
-        sizes = np.abs(turned), np.abs(mirrored)
+        rotated, mirrored = (a + d + 1j * (c - b)) / 2, (a - d + 1j * (c + b)) / 2
+        sizes = np.abs(rotated), np.abs(mirrored)
         larger = (sizes[0] + sizes[1]).clip(low, high)
         smaller = np.minimum(np.abs(sizes[0] - sizes[1]).clip(least), larger)
         smaller = np.copysign(smaller, sizes[0] - sizes[1])
-        turned *= (larger + smaller) / 2 / np.maximum(sizes[0], 1e-9)
+        rotated *= (larger + smaller) / 2 / np.maximum(sizes[0], 1e-9)
         mirrored *= (larger - smaller) / 2 / np.maximum(sizes[1], 1e-9)
-        right, down = turned + mirrored, turned - mirrored
+        right, down = rotated + mirrored, rotated - mirrored
         return np.stack([*poses[:, :2].T, right.real, -down.imag, right.imag, down.real], axis=1)
 
 

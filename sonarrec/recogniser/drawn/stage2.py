@@ -136,8 +136,8 @@ class Plates:
         for n, row in enumerate(rows):
             if fits[row] is not None:
                 positions[n] = fits[row].pose[:2]
-        found = self._fitter.search(image, positions, [self._others(row) for row in rows])
-        for fit, row in zip(found, rows, strict=True):
+        likeliest = self._fitter.search(image, positions, [self._others(row) for row in rows])
+        for fit, row in zip(likeliest, rows, strict=True):
             known, others = fits[row], self._others(row)
             if not self._is_clear(fit, LEAST_MATCH) or self._overlaps(fit, others):
                 continue
