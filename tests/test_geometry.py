@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sonarrec.errors import SonarrecError
+from sonarrec.recogniser.plane import working_plane
 from sonarrec.simulation.scene import Scene, scene_sonar
 from sonarrec.sonar.geometry import (
     MAX_SIDE,
@@ -28,6 +29,7 @@ from sonarrec.sonar.geometry import (
     slant_range,
 )
 from sonarrec.sonar.stated import Sonar, load_sonar
+from tests.support.drawn import make_fan
 
 BASIN = scene_sonar(Scene())
 
@@ -280,3 +282,11 @@ def test_what_is_missing_is_named() -> None:
     bearings.complete("here")  # the bearings tell the field of view
     fan = fan_for_polar(bearings.complete("test"), 10)
     assert (fan.bearing_min_deg, fan.bearing_max_deg) == (-2, 2)
+
+
+@pytest.mark.parametrize("kind", ["fan", "floor"])
+def test_the_scale_of_a_plane_is_that_of_its_discs(kind: str) -> None:
+    fan = make_fan(512, height_m=0.68)
+    for disc_px in (4.0, 10.0, 400.0):
+        plane = working_plane(kind, fan, 0.15, disc_px)
+        assert plane.axes[0] == pytest.approx(plane.scale * 0.15 / fan.metres_per_pixel)

@@ -164,3 +164,8 @@ def test_a_run_of_one_frame_has_no_hints_that_cannot_help() -> None:
 @pytest.mark.parametrize("text", ["two", "2.5", "4 cores"])
 def test_a_whole_number_is_asked_for_with_an_example(text: str) -> None:
     assert "such as 2" in refused("run", "x", "--jobs", text)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_command_of_one_method_takes_one() -> None:
+    assert "smi" in refused("map", "sonarrec_out/dive", "--method", "framework", "--method", "smi")

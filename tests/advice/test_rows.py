@@ -254,3 +254,8 @@ def test_the_truth_of_each_log_is_found(tmp_path: Path) -> None:
     assert "two/gt.csv: 2 rows" in done.stdout
     assert "1 row" in run(camp / "one").stdout
     assert "name the log" in run(labelled / "one.gt.csv", code=2).stderr
+
+
+def test_a_jump_is_told_with_its_way_and_its_lines(tmp_path: Path, log: Path) -> None:
+    path = truth(tmp_path, ["0,1,2.0,3", "1,1,2.25,-4"])
+    assert "by -7.0 deg and +0.25 m" in run(path, log, code=3).stdout

@@ -23,9 +23,16 @@ from sonarrec.drawing.pen import landmark_colours
 from sonarrec.errors import SonarrecError, UsageError
 from sonarrec.landmarks import load_landmarks
 from sonarrec.mapping.build import make_map
-from sonarrec.mapping.landmarks import CHI2_95, ellipse
+from sonarrec.mapping.landmarks import (
+    CHI2_95,
+    COMMON_SHARE,
+    LEAST_ORIENTATION_DEG,
+    SAME_FRAMES,
+    _mean_orientation,
+    ellipse,
+)
 from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
-from sonarrec.mapping.picture import draw_map
+from sonarrec.mapping.picture import _drawing, draw_map
 from sonarrec.readers.poses import read_poses
 from sonarrec.results.run_file import run_table
 from sonarrec.results.write import ResultsWriter
@@ -606,3 +613,28 @@ def test_the_report_shows_the_map(mapped: Path) -> None:
         path.unlink()
     sonarrec("report", mapped.parent)
     assert "image/png" not in page.read_text()
+
+
+@pytest.mark.parametrize("same", [1, 3])
+def test_the_standard_error_of_an_orientation(same: int) -> None:
+    """Errors of a pass are common in part: of the mean, weighted by precision, not its root."""
+    sigma = np.repeat([2.0, 5.0, 9.0], same)
+    weight = sigma**-2 / (sigma**-2).sum()
+    own = (weight**2 * sigma**2).sum() * min(SAME_FRAMES, len(sigma))
+    common = (weight * sigma).sum() ** 2
+    wanted = (1 - COMMON_SHARE) * own + COMMON_SHARE * common + LEAST_ORIENTATION_DEG**2
+    found = _mean_orientation(np.full(len(sigma), 40.0), sigma, 360.0)
+    assert found == (pytest.approx(40), pytest.approx(math.sqrt(wanted)))
+
+
+def test_the_map_draws_symbols_as_they_lie() -> None:
+    sectors = np.array(BASIN.sectors[0])
+    dark, bright = _drawing(BASIN, 0, np.array([2.0, 3.0]), 30.0)
+    ring, *wedges = bright
+    assert len(wedges) == sum(sectors)
+    assert all(w.theta2 - w.theta1 == pytest.approx(360 / len(sectors)) for w in wedges)
+    starts = 30 + np.flatnonzero(sectors) * 360 / len(sectors)
+    assert [w.theta1 % 360 for w in wedges] == pytest.approx(starts % 360)
+    assert ring.r == pytest.approx(BASIN.radius_m * BASIN.ring[1])
+    assert len(_drawing(BASIN, 0, np.array([2.0, 3.0]), math.nan)[1]) == 1
+    assert dark[0].r == BASIN.radius_m

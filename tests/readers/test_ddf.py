@@ -17,6 +17,7 @@ from sonarrec.errors import SonarrecError
 from sonarrec.readers.containers.ddf_headers import (
     FILE_HEADER,
     FRAME_HEADER,
+    WINDOW_M,
     bearings_deg,
     lens_bearings_deg,
 )
@@ -299,3 +300,10 @@ def test_what_follows_the_last_frame_is_told(tmp_path: Path) -> None:
     found, (problem,), _ = read(path)
     assert len(found) == 3
     assert "9000 bytes" in problem
+
+
+def test_the_lengths_of_a_window_double_from_code_to_code() -> None:
+    lengths = np.array([*WINDOW_M.values()])
+    lengths[:, -1][lengths[:, -1] == 70] = 80  # the maker's long range ends before its double
+    assert lengths[:, 1:] == pytest.approx(2 * lengths[:, :-1])
+    assert lengths[:, 0].tolist() == [1.25, 1.125, 2.5, 2.25]

@@ -309,3 +309,16 @@ def test_what_the_log_states_ping_by_ping_is_written_as_a_comment(tmp_path: Path
     stated = tomllib.loads(file.read_text())["sonar"]
     assert set(stated) == {"tilt_deg", "height_m", "frame_rate_hz", "beam_width_deg", "beam_order"}
     assert "# range_max_m: " in file.read_text()
+
+
+def test_a_damaged_log_is_marked_in_the_table(tmp_path: Path) -> None:
+    logs = [mcap_file(tmp_path / name / f"{name}.mcap", MESSAGES) for name in ("good", "torn")]
+    data = bytearray(logs[1].read_bytes())
+    data[len(data) // 3 : len(data) // 3 + 9] = b"\0" * 9  # in a chunk: its end is whole
+    logs[1].write_bytes(data)
+    told = sonarrec("info", *logs, code=3)
+    good, torn = told.stdout.splitlines()[1:]
+    assert "whole" in good
+    assert "or damaged" in torn
+    assert "info" in told.stderr
+    assert "info" not in sonarrec("info", *logs, "--json", code=3).stderr

@@ -226,3 +226,11 @@ def test_a_message_tells_how_wide_its_receiving_beams_are(widths: Any, expected:
     ping = read_projected_sonar_image(Fields(fields)).ping
     assert ping is not None
     assert ping.beam_width_deg == expected
+
+
+@pytest.mark.parametrize("value", [-1, 2.0, "3", None])
+def test_a_count_is_a_whole_number_from_0_on(value: object) -> None:
+    with pytest.raises(UnusableError, match="height"):
+        Fields({"height": value}).integer("height")
+    assert Fields({"height": 0}).integer("height") == 0
+    assert Fields({}).integer("height", 7) == 7

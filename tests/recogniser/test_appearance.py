@@ -14,8 +14,9 @@ from sonarrec import Recogniser, open_log
 from sonarrec.config import Features
 from sonarrec.landmarks import load_landmarks
 from sonarrec.recogniser.plane import FloorPlane
-from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement
+from sonarrec.recogniser.stage3.appearance import AppearanceMeasurement, _Picture
 from sonarrec.recogniser.stage3.model_file import built_in_weights
+from sonarrec.recogniser.stage3.opinions import Opinion
 from sonarrec.recogniser.stage3.reader import Reader
 from sonarrec.recogniser.stage3.shape_matrix import (
     ANGLES,
@@ -221,3 +222,15 @@ def test_what_is_written_of_a_symbol_is_what_lies_there():
                 right.append((read == code)[inner].mean())
     assert len(right) > 50
     assert np.mean(right) > 0.9
+
+
+def test_pictures_are_compared_over_the_cells_that_both_have_seen() -> None:
+    rng = np.random.default_rng(2)
+    (total, other), seen = rng.uniform(0, 9, (2, 6, 12)), np.ones((6, 12))
+    mine, theirs = seen.copy(), 2 * seen
+    mine[:2], theirs[3:, :5] = 0, 0
+    both = (mine > 0) & (theirs > 0)
+    wanted = np.corrcoef(total[both], other[both] / 2)[0, 1]
+    picture = _Picture(total, mine, 0, Opinion())
+    assert picture.correlation(other, theirs) == pytest.approx(wanted)
+    assert picture.correlation(other, np.where(mine > 0, 0, theirs)) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -184,3 +185,18 @@ def test_ticks_are_round_and_few(low: float, length: float, most: int) -> None:
     assert values.min() >= low - 1e-6 * step
     assert values.max() <= low + length + 1e-6 * step
     assert [at for at, _ in found] == pytest.approx(100 * (values - low) / length, abs=0.01)
+
+
+@given(st.tuples(*[st.integers(0, 255)] * 3))
+def test_colours_stand_out_on_white_and_keep_their_hue(colour: tuple[int, int, int]) -> None:
+    found = [int(charts.darkened(colour)[n : n + 2], 16) for n in (1, 3, 5)]
+
+    def luminance(levels: Sequence[int]) -> float:  # WCAG 2, relative luminance
+        v = np.array(levels) / 255
+        linear = np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    assert 1.05 / (luminance(found) + 0.05) >= 3.0
+    if 1.05 / (luminance(colour) + 0.05) > 3.15:
+        assert found == [*colour]
+    assert np.argsort(colour, kind="stable").tolist() == np.argsort(found, kind="stable").tolist()

@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sonarrec.cli import main
-from sonarrec.tables.outputs import with_mark, write_csv, write_text
+from sonarrec.tables.outputs import escape_mathtext, with_mark, write_csv, write_text
 from tests.support import command
 from tests.support.batch import until
 from tests.support.command import SAMPLE, sample_log
@@ -335,3 +335,9 @@ def test_names_that_spreadsheets_would_compute() -> None:
     assert len(rows) == len(names)
     assert {row["status"] for row in rows} == {"done"}
     assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "+", "@")]
+
+
+def test_names_are_no_formulas_in_pictures() -> None:
+    assert escape_mathtext("a$b$c") == r"a\$b\$c"
+    assert escape_mathtext("_hidden") == " _hidden"  # matplotlib leaves it out of legends
+    assert escape_mathtext("mine_1") == "mine_1"
