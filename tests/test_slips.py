@@ -60,6 +60,17 @@ def refused(*words: str) -> str:
         ("run dive -landmarks basin", "--landmarks?"),
         ("run dive --config dive/sonar.toml", "--sonar"),
         ("run dive --sonar truth.csv", "CSV"),
+        # Dashes, quotes and spaces of a word processor or a web page
+        ("run dive \N{EN DASH}o out2", "type -o"),
+        ("run dive \N{EM DASH}out=out2", "type --out=out2"),
+        ("run dive --tilt-deg \N{MINUS SIGN}30", "hyphen"),
+        ("\N{EN DASH}q run dive", "hyphen"),
+        ("run \N{LEFT DOUBLE QUOTATION MARK}dive\N{RIGHT DOUBLE QUOTATION MARK}", "quotes"),
+        ("run dive\u00a0-q", "space"),
+        # The command left out, or not first
+        ("dive", "run dive"),
+        ("-q run dive", "command comes first"),
+        ("--height-m .7 run dive", "command comes first"),
         # An output of another kind
         ("overlay dive -o x.avi", ".mp4"),
         ("overlay dive -o x.GIF", ".mcap"),
@@ -74,7 +85,7 @@ def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
     words: str, meant: str, here: Path
 ) -> None:
     before = {*here.rglob("*")}
-    assert meant in refused(*words.split())
+    assert meant in refused(*words.split(" "))
     assert {*here.rglob("*")} == before
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial, wraps
 from importlib.resources import files
 from itertools import pairwise
@@ -19,6 +20,8 @@ from sonarrec.errors import UsageError, plain_number, refuse_url, similar_name
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
 """Of --help, in this order."""
+_DASHES = "\N{HYPHEN}\N{NON-BREAKING HYPHEN}\N{FIGURE DASH}\N{EN DASH}\N{EM DASH}\N{MINUS SIGN}"
+_QUOTES = "\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb"
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -38,6 +41,34 @@ def advice_on(word: str) -> str:
             if word in {w for code in re.findall("`(.*?)`", named) for w in code.split()}:
                 return f"Gone: {' '.join(item.removeprefix('- ').split())}"
     return ""
+
+
+def refuse_typography(words: Iterable[str], known: Collection[str]) -> None:
+    """Raise UsageError for a word with dashes, quotes or spaces of a word processor.
+
+    The shell does not know them. Names of files that are there may have them. known: options.
+    """
+    for word in words:
+        if os.path.lexists(word):
+            continue
+        if word.lstrip("-")[:1] in {*_DASHES}:
+            name = word.lstrip(f"-{_DASHES}")
+            plain = [o for o in (f"--{name}", f"-{name}") if o.partition("=")[0] in known]
+            how = plain[0] if plain else "the hyphen (-) of the keyboard"
+            raise UsageError(
+                f"{word}: begins with a dash of a word processor, no hyphen; type {how}"
+            )
+        value = word.partition("=")[2] or word
+        if value[:1] in {*_QUOTES} or value[-1:] in {*_QUOTES}:
+            raise UsageError(
+                f"{word}: has quotes of a word processor, which the shell does not know; type "
+                "straight ones (')"
+            )
+        if "\N{NO-BREAK SPACE}" in word:
+            shown = word.replace("\N{NO-BREAK SPACE}", "[no-break space]")
+            raise UsageError(
+                f"{shown}: no-break spaces of a web page join words; type the spaces again"
+            )
 
 
 def _readable(value: Any) -> Any:
@@ -132,6 +163,7 @@ class GroupedCommand(click.Command):
             if not word or (option.startswith("--") and is_set and not value):
                 raise UsageError(f"empty argument after {option or before}; is a variable unset?")
         known = {name for param in self.params for name in param.opts}
+        refuse_typography(args, known)
         single = [f"-{word}" for word in args if f"-{word.partition('=')[0]}" in known]
         try:
             return super().parse_args(ctx, args)
