@@ -21,6 +21,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     shutil.copytree(sample_log(folder / "dive", 4), folder / "my long dive")
     shutil.copy(SAMPLE / "gt.csv", folder / "truth.csv")
+    (folder / "logs2").mkdir()
+    (folder / "logs2" / "new.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (folder / "c.toml").write_text('[[log]]\npath = "logs2\\new.mcap"\n')
+    (folder / "model.toml").write_text('reader = "0"\n')
+    shutil.copy(SAMPLE / "000000.png", folder / "photo.mp4")
+    shutil.move(sample_log(folder / "bare", 1) / "sonar.toml", folder / "bare" / "sonar.toml.txt")
     with contextlib.chdir(folder):
         sonarrec("run", "dive", "-q")
     return folder
@@ -63,10 +69,27 @@ def refused(*words: str) -> str:
         # Dashes, quotes and spaces of a word processor or a web page
         ("run dive \N{EN DASH}o out2", "type -o"),
         ("run dive \N{EM DASH}out=out2", "type --out=out2"),
-        ("run dive --tilt-deg \N{MINUS SIGN}30", "hyphen"),
-        ("\N{EN DASH}q run dive", "hyphen"),
-        ("run \N{LEFT DOUBLE QUOTATION MARK}dive\N{RIGHT DOUBLE QUOTATION MARK}", "quotes"),
+        ("run dive --tilt-deg \N{MINUS SIGN}30", "type -30"),
+        ("\N{EN DASH}q run dive", "type -q"),
+        ("run \N{LEFT DOUBLE QUOTATION MARK}dive\N{RIGHT DOUBLE QUOTATION MARK}", "type 'dive'"),
         ("run dive\u00a0-q", "space"),
+        # Paths of other systems
+        ("run logs2\\new.mcap", "did you mean logs2/new.mcap?"),
+        ("info dive --sonar dive\\sonar.toml", "did you mean dive/sonar.toml?"),
+        ("check c.toml", "did you mean logs2/new.mcap?"),
+        ("run ~/dive", "home"),
+        ("run dive -o ~/out", "home"),
+        # A file of another kind, or a folder
+        ("run dive --landmarks dive/000000.png", "image"),
+        ("check logs2/new.mcap", "MCAP"),
+        ("evaluate sonarrec_out/dive --ground-truth logs2/new.mcap", "MCAP"),
+        ("run photo.mp4", "kind image"),
+        ("check sonarrec_out", "a folder"),
+        ("run dive --config model.toml", "--model"),
+        ("run bare", "call it sonar.toml"),
+        # Numbers of an option
+        ("map --origin 54,3233 10,1394", "LAT,LON,HEADING"),
+        ("map sonarrec_out/dive --origin 54.3,10.1", "LAT,LON,HEADING"),
         # The command left out, or not first
         ("dive", "run dive"),
         ("-q run dive", "command comes first"),
@@ -113,6 +136,9 @@ def test_a_number_is_written_with_a_point_and_alone(text: str, meant: str) -> No
         ("height_m: 0.68", "equals"),
         ("bearings_deg = (1, 2)", "square"),
         ("layout = fan", 'layout = "fan"'),
+        ("layout = \N{LEFT DOUBLE QUOTATION MARK}fan\N{RIGHT DOUBLE QUOTATION MARK}", "straight"),
+        (r'path = "logs\pan.mcap"', "in place of"),
+        (r'path = "C:\Users\pan.mcap"', "in place of"),
         ("// mine", "#"),
         ("a = 1\na = 2", "twice"),
     ],

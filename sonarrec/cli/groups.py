@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import unicodedata
 from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial, wraps
 from importlib.resources import files
@@ -20,8 +21,12 @@ from sonarrec.errors import UsageError, plain_number, refuse_url, similar_name
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
 """Of --help, in this order."""
-_DASHES = "\N{HYPHEN}\N{NON-BREAKING HYPHEN}\N{FIGURE DASH}\N{EN DASH}\N{EM DASH}\N{MINUS SIGN}"
-_QUOTES = "\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb"
+_DASHES, _QUOTES = (
+    "\u2010\u2011\u2012\u2013\u2014\u2212",
+    "\u201c\u201d\u201e\u2018\u2019\u201a\xab\xbb",
+)
+_TYPED = str.maketrans(dict.fromkeys(_DASHES, "-") | dict.fromkeys(_QUOTES, "'") | {"\xa0": " "})
+_PASTED = re.compile(rf"-*([{_DASHES}])|(?:.*=)?([{_QUOTES}])|.*([{_QUOTES}])$|.*(\xa0)")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -44,30 +49,18 @@ def advice_on(word: str) -> str:
 
 
 def refuse_typography(words: Iterable[str], known: Collection[str]) -> None:
-    """Raise UsageError for a word with dashes, quotes or spaces of a word processor.
+    """Raise UsageError for a word with a dash, quotes or a space of a word processor.
 
-    The shell does not know them. Names of files that are there may have them. known: options.
+    Names of files that are there may have them. known: options.
     """
     for word in words:
-        if os.path.lexists(word):
-            continue
-        if word.lstrip("-")[:1] in {*_DASHES}:
-            name = word.lstrip(f"-{_DASHES}")
-            plain = [o for o in (f"--{name}", f"-{name}") if o.partition("=")[0] in known]
-            how = plain[0] if plain else "the hyphen (-) of the keyboard"
+        if (pasted := _PASTED.match(word)) and not os.path.lexists(word):
+            mark = unicodedata.name(next(filter(None, pasted.groups()))).lower()
+            plain = word.translate(_TYPED)
+            plain = f"-{plain}" if f"-{plain.partition('=')[0]}" in known else plain
             raise UsageError(
-                f"{word}: begins with a dash of a word processor, no hyphen; type {how}"
-            )
-        value = word.partition("=")[2] or word
-        if value[:1] in {*_QUOTES} or value[-1:] in {*_QUOTES}:
-            raise UsageError(
-                f"{word}: has quotes of a word processor, which the shell does not know; type "
-                "straight ones (')"
-            )
-        if "\N{NO-BREAK SPACE}" in word:
-            shown = word.replace("\N{NO-BREAK SPACE}", "[no-break space]")
-            raise UsageError(
-                f"{shown}: no-break spaces of a web page join words; type the spaces again"
+                f"{word}: holds the {mark} of a word processor, which the shell does not know; "
+                f"type {plain}"
             )
 
 
