@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 from pathlib import Path
 
@@ -188,6 +189,28 @@ def test_angles_in_radians_are_told(here: Path, key: str, value: float) -> None:
     told = sonarrec("run", "dive", option, value, "-o", here / "out", "-q").stderr
     assert "in radians" in told
     assert "in radians" not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "meant"),
+    [
+        (("--frame-rate-hz", "250"), "write 4"),
+        (("--tilt-deg", "80", "--range-min-m", "0.75"), "axis meets the floor at 0.69 m"),
+    ],
+)
+def test_a_stated_geometry_that_cannot_be_is_told(
+    here: Path, options: tuple[str, ...], meant: str
+) -> None:
+    assert meant in sonarrec("run", "dive", *options, "-o", here / "out", "-q").stderr
+    assert meant not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
+
+
+def test_a_scene_of_which_nothing_comes_into_view_is_told(tmp_path: Path) -> None:
+    near, far = tmp_path / "near", tmp_path / "far.toml"
+    assert not sonarrec("simulate", "--frames", 2, "-o", near, "-q").stderr
+    metres = re.compile("^ground_m = .*", re.MULTILINE)
+    far.write_text(metres.sub("ground_m = 1800.0", (near / "scene.toml").read_text()))
+    assert "into view" in sonarrec("simulate", "--scene", far, "-o", tmp_path / "o", "-q").stderr
 
 
 @pytest.mark.usefixtures("here")

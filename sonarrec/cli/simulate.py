@@ -57,5 +57,5 @@ def simulate(source: str, seed: int | None, frames: int | None, out: Path, quiet
     if not quiet:
         say(f"{out}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
     if not seen:
-        why = "check the places of landmarks and motion (m), and the sonar's window"
+        why = "check the positions (m) in the scene and the sonar's window"
         print_notes((), [f"{out}: no landmark comes into view in any frame; {why}"])

@@ -226,7 +226,7 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
 
 
 def misnamed_sonar(log: Path) -> str:
-    """A geometry beside a log that is not called as one, as the end of a message; empty: none."""
+    """A geometry next to a log that is not called as one, as the end of a message; empty: none."""
     folder, own = log.parent, own_file(log, SONAR_FILE).name
     if log.is_dir():
         folder, own = log, SONAR_FILE
