@@ -16,6 +16,8 @@ AnyPath = TypeVar("AnyPath")
 MOST_NAMES = 10_000  # of a folder, among which a similar one is looked for
 LEAST_SIMILARITY = 0.7  # of difflib's ratio
 
+QUOTES = "\u201c\u201d\u201e\u2018\u2019\u201a\xab\xbb"  # of word processors
+
 
 def printable(text: object) -> str:
     """The text as every terminal and UTF-8 file can hold it, where text leaves the program.

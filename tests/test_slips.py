@@ -113,6 +113,12 @@ def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
     assert {*here.rglob("*")} == before
 
 
+def test_a_geometry_under_another_name_is_told_by_info(here: Path) -> None:
+    assert "sonar.toml.txt" in sonarrec("info", "bare").stdout
+    (here / "bare" / "sonar.toml.txt").rename(here / "bare" / "sonar.toml")
+    assert "lacks" not in sonarrec("info", "bare").stdout
+
+
 @pytest.mark.parametrize(
     ("text", "meant"),
     [("0,68", "0.68"), ("-1,5", "-1.5"), (",5", ".5"), ("20°", "alone"), ("3 m", "alone")],

@@ -16,17 +16,14 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.errors import UsageError, plain_number, refuse_url, similar_name
+from sonarrec.errors import QUOTES, UsageError, plain_number, refuse_url, similar_name
 
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
 """Of --help, in this order."""
-_DASHES, _QUOTES = (
-    "\u2010\u2011\u2012\u2013\u2014\u2212",
-    "\u201c\u201d\u201e\u2018\u2019\u201a\xab\xbb",
-)
-_TYPED = str.maketrans(dict.fromkeys(_DASHES, "-") | dict.fromkeys(_QUOTES, "'") | {"\xa0": " "})
-_PASTED = re.compile(rf"-*([{_DASHES}])|(?:.*=)?([{_QUOTES}])|.*([{_QUOTES}])$|.*(\xa0)")
+_DASHES = "\u2010\u2011\u2012\u2013\u2014\u2212"
+_TYPED = str.maketrans(dict.fromkeys(_DASHES, "-") | dict.fromkeys(QUOTES, "'") | {"\xa0": " "})
+_PASTED = re.compile(rf"-*([{_DASHES}])|(?:.*=)?([{QUOTES}])|.*([{QUOTES}])$|.*(\xa0)")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 

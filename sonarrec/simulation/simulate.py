@@ -78,8 +78,8 @@ def write_recording(
     out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, with which NAME.sonar.toml,
     NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame with the number
     of frames done. The messages of an MCAP of polar images state the sonar's geometry, and
-    sonar.toml only the rest. Returns the rows of gt.csv. Raises
-    SonarrecError if `out` cannot be written or is in use.
+    sonar.toml only the rest. Returns how many rows gt.csv has. Raises SonarrecError if `out` cannot
+    be written or is in use.
     """
     import tomli_w
 

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.errors import SonarrecError, plain_number, redact_urls
+from sonarrec.errors import QUOTES, SonarrecError, plain_number, redact_urls
 from sonarrec.tables import not_text
 
 MAX_LENGTH = 2**24
@@ -116,10 +116,9 @@ def _how_to_write(text: str, fault: str) -> str:
     return ""
 
 
-_QUOTES = "\u201c\u201d\u201e\u2018\u2019\u201a\u00ab\u00bb"  # of word processors
 _KEY = r"\s*(?P<key>[\w.-]+)\s*"
 _SLIPS = (
-    (rf"{_KEY}=[\s\[]*[{_QUOTES}]", 'write straight quotes (") in place of typographic ones'),
+    (rf"{_KEY}=[\s\[]*[{QUOTES}]", 'write straight quotes (") in place of typographic ones'),
     (rf"{_KEY}=\s*[-+]?[0-9]+,[0-9]", "decimals have a point"),
     (rf"{_KEY}=\s*(?P<value>true|false)\s*(#.*)?$", "write {key} = {small}, in small letters"),
     (rf"{_KEY}=\s*(?:yes|no|on|off)\s*(#.*)?$", "write {key} = true or {key} = false"),
