@@ -16,6 +16,8 @@ AnyPath = TypeVar("AnyPath")
 MOST_NAMES = 10_000  # of a folder, among which a similar one is looked for
 LEAST_SIMILARITY = 0.7  # of difflib's ratio
 
+QUOTES = "\u201c\u201d\u201e\u2018\u2019\u201a\xab\xbb"  # of word processors
+
 
 def printable(text: object) -> str:
     """The text as every terminal and UTF-8 file can hold it, where text leaves the program.
@@ -49,6 +51,8 @@ def similar_name(path: Path) -> str:
     """What may have been meant by a path that is not there, as the end of a message; or empty."""
     from difflib import get_close_matches  # only where something is wrong
 
+    if meant := foreign_path(str(path)):
+        return meant
     while not path.parent.exists() and path.parent != path:
         path = path.parent
     try:
@@ -61,6 +65,21 @@ def similar_name(path: Path) -> str:
     known |= {name.casefold(): name for name in names}
     near = get_close_matches(path.name.casefold(), known, 1, LEAST_SIMILARITY)
     return f"; did you mean {path.parent / known[near[0]]}?" if near else ""
+
+
+# TOML reads \n of logs\new as the end of a line.
+_AS_SLASHES = str.maketrans({"\\": "/", "\n": "/n", "\t": "/t", "\r": "/r", "\b": "/b", "\f": "/f"})
+
+
+def foreign_path(text: str) -> str:
+    """What is meant by a path of Windows, or by ~ in quotes, as the end of a message; or empty."""
+    home, plain = os.path.expanduser(text), text.translate(_AS_SLASHES)  # noqa: PTH111
+    mounted = re.sub("^([A-Za-z]):", lambda drive: f"/mnt/{drive[1].lower()}", plain)
+    meant = [name for name in (home, plain, mounted) if name != text and os.path.lexists(name)]
+    if os.sep != "/" or not (meant or home != text or "\\" in text):
+        return ""
+    why = "in quotes ~ is not your home" if home != text else "folders are parted by /, not by \\"
+    return f"; {why}{f': did you mean {meant[0]}?' if meant else ''}"
 
 
 def plain_number(text: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 from pathlib import Path
 
@@ -21,6 +22,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     shutil.copytree(sample_log(folder / "dive", 4), folder / "my long dive")
     shutil.copy(SAMPLE / "gt.csv", folder / "truth.csv")
+    (folder / "logs2").mkdir()
+    (folder / "logs2" / "new.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (folder / "c.toml").write_text('[[log]]\npath = "logs2\\new.mcap"\n')
+    (folder / "model.toml").write_text('reader = "0"\n')
+    shutil.copy(SAMPLE / "000000.png", folder / "photo.mp4")
+    shutil.move(sample_log(folder / "bare", 1) / "sonar.toml", folder / "bare" / "sonar.toml.txt")
     with contextlib.chdir(folder):
         sonarrec("run", "dive", "-q")
     return folder
@@ -60,6 +67,34 @@ def refused(*words: str) -> str:
         ("run dive -landmarks basin", "--landmarks?"),
         ("run dive --config dive/sonar.toml", "--sonar"),
         ("run dive --sonar truth.csv", "CSV"),
+        # Dashes, quotes and spaces of a word processor or a web page
+        ("run dive \N{EN DASH}o out2", "type -o"),
+        ("run dive \N{EM DASH}out=out2", "type --out=out2"),
+        ("run dive --tilt-deg \N{MINUS SIGN}30", "type -30"),
+        ("\N{EN DASH}q run dive", "type -q"),
+        ("run \N{LEFT DOUBLE QUOTATION MARK}dive\N{RIGHT DOUBLE QUOTATION MARK}", "type 'dive'"),
+        ("run dive\u00a0-q", "space"),
+        # Paths of other systems
+        ("run logs2\\new.mcap", "did you mean logs2/new.mcap?"),
+        ("info dive --sonar dive\\sonar.toml", "did you mean dive/sonar.toml?"),
+        ("check c.toml", "did you mean logs2/new.mcap?"),
+        ("run ~/dive", "home"),
+        ("run dive -o ~/out", "home"),
+        # A file of another kind, or a folder
+        ("run dive --landmarks dive/000000.png", "image"),
+        ("check logs2/new.mcap", "MCAP"),
+        ("evaluate sonarrec_out/dive --ground-truth logs2/new.mcap", "MCAP"),
+        ("run photo.mp4", "kind image"),
+        ("check sonarrec_out", "a folder"),
+        ("run dive --config model.toml", "--model"),
+        ("run bare", "call it sonar.toml"),
+        # Numbers of an option
+        ("map --origin 54,3233 10,1394", "LAT,LON,HEADING"),
+        ("map sonarrec_out/dive --origin 54.3,10.1", "LAT,LON,HEADING"),
+        # The command left out, or not first
+        ("dive", "run dive"),
+        ("-q run dive", "command comes first"),
+        ("--height-m .7 run dive", "command comes first"),
         # An output of another kind
         ("overlay dive -o x.avi", ".mp4"),
         ("overlay dive -o x.GIF", ".mcap"),
@@ -74,8 +109,14 @@ def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
     words: str, meant: str, here: Path
 ) -> None:
     before = {*here.rglob("*")}
-    assert meant in refused(*words.split())
+    assert meant in refused(*words.split(" "))
     assert {*here.rglob("*")} == before
+
+
+def test_a_geometry_under_another_name_is_told_by_info(here: Path) -> None:
+    assert "sonar.toml.txt" in sonarrec("info", "bare").stdout
+    (here / "bare" / "sonar.toml.txt").rename(here / "bare" / "sonar.toml")
+    assert "lacks" not in sonarrec("info", "bare").stdout
 
 
 @pytest.mark.parametrize(
@@ -102,6 +143,9 @@ def test_a_number_is_written_with_a_point_and_alone(text: str, meant: str) -> No
         ("height_m: 0.68", "equals"),
         ("bearings_deg = (1, 2)", "square"),
         ("layout = fan", 'layout = "fan"'),
+        ("layout = \N{LEFT DOUBLE QUOTATION MARK}fan\N{RIGHT DOUBLE QUOTATION MARK}", "straight"),
+        (r'path = "logs\pan.mcap"', "in place of"),
+        (r'path = "C:\Users\pan.mcap"', "in place of"),
         ("// mine", "#"),
         ("a = 1\na = 2", "twice"),
     ],
@@ -151,6 +195,28 @@ def test_angles_in_radians_are_told(here: Path, key: str, value: float) -> None:
     told = sonarrec("run", "dive", option, value, "-o", here / "out", "-q").stderr
     assert "in radians" in told
     assert "in radians" not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "meant"),
+    [
+        (("--frame-rate-hz", "250"), "write 4"),
+        (("--tilt-deg", "80", "--range-min-m", "0.75"), "axis meets the floor at 0.69 m"),
+    ],
+)
+def test_a_stated_geometry_that_cannot_be_is_told(
+    here: Path, options: tuple[str, ...], meant: str
+) -> None:
+    assert meant in sonarrec("run", "dive", *options, "-o", here / "out", "-q").stderr
+    assert meant not in sonarrec("run", "dive", "-o", here / "out", "-q").stderr
+
+
+def test_a_scene_of_which_nothing_comes_into_view_is_told(tmp_path: Path) -> None:
+    near, far = tmp_path / "near", tmp_path / "far.toml"
+    assert not sonarrec("simulate", "--frames", 2, "-o", near, "-q").stderr
+    metres = re.compile("^ground_m = .*", re.MULTILINE)
+    far.write_text(metres.sub("ground_m = 1800.0", (near / "scene.toml").read_text()))
+    assert "into view" in sonarrec("simulate", "--scene", far, "-o", tmp_path / "o", "-q").stderr
 
 
 @pytest.mark.usefixtures("here")

@@ -12,7 +12,7 @@ from sonarrec.arrays import FloatArray
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
-from sonarrec.readers.log import Log
+from sonarrec.readers.log import MOST_HZ, Log
 from sonarrec.results.run_file import rerun
 from sonarrec.runs.prepare import PreparedRun
 from sonarrec.sonar.frame import Fan, Frame
@@ -31,14 +31,14 @@ LEAST_WIDTH_PX = 12
 76, 48, 18 times and once."""
 LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long as a disc
 STEEP_TILT_DEG = 60.0  # of tilts that are assumed
+SOUND_M_S = 1600.0  # in the warmest and saltiest water
 
 
 def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
     """On the geometry of a log that was read. first: its first frames."""
     yield from map(Advice, contradictions(first, log.sonar))
-    if log.fan is not None and (steep := _steep(log.sonar, log.fan.tilt_deg)):
-        yield Advice(steep)
     if log.fan is not None:
+        yield from map(Advice, _unlikely(log.sonar, log.fan))
         yield from map(Advice, _in_radians(log.sonar, log.fan))
 
 
@@ -66,9 +66,9 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
             "the run does not use the poses, since plates may lie at any angle; if they lie on the "
             f'floor, state pose = "floor" in the landmarks {landmarks.name}'
         )
-    for why in (_hardly_seen(fan, landmarks), _steep(log.sonar, fan.tilt_deg)):
-        if why:
-            yield Advice(why)
+    if why := _hardly_seen(fan, landmarks):
+        yield Advice(why)
+    yield from map(Advice, _unlikely(log.sonar, fan))
     if static:
         yield Advice(
             f"{static:.1%} of the picture never changes, and is filled from its neighbours"
@@ -173,14 +173,26 @@ def _hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
     return None
 
 
-def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
-    """Why the height may be wrong from which tilt_deg follows; None if nothing is odd."""
-    if sonar.tilt_deg is not None or sonar.height_m is None or tilt_deg <= STEEP_TILT_DEG:
-        return None
-    return (
-        f"height {sonar.height_m:g} m puts the sonar almost straight above the floor "
-        f"(tilt {tilt_deg:.0f} deg); is it in metres?"
-    )
+def _unlikely(sonar: Sonar, fan: Fan) -> Iterator[str]:
+    """What of the stated height, tilt and frame rate can hardly be so."""
+    height, tilt, hz = sonar.height_m, sonar.tilt_deg, sonar.frame_rate_hz
+    if height is not None and tilt is None and fan.tilt_deg > STEEP_TILT_DEG:
+        yield (
+            f"height {height:g} m puts the sonar almost straight above the floor "
+            f"(tilt {fan.tilt_deg:.0f} deg); is it in metres?"
+        )
+    axis_m = height / math.sin(math.radians(tilt)) if height and tilt else math.inf
+    if axis_m < fan.range_min_m:
+        yield (
+            f"with tilt_deg = {tilt:g} and height_m = {height:g} the sonar's axis meets the floor "
+            f"at {axis_m:.3g} m, nearer than range_min_m = {fan.range_min_m:g}; check the three"
+        )
+    most_hz = min(MOST_HZ, SOUND_M_S / 2 / fan.range_max_m)
+    if hz is not None and hz > most_hz:
+        yield (
+            f"frame_rate_hz = {hz:g} is too fast for echoes from {fan.range_max_m:.3g} m (at most "
+            f"{most_hz:.3g}); if it is the milliseconds of a frame, write {1e3 / hz:.3g}"
+        )
 
 
 def _in_radians(sonar: Sonar, fan: Fan) -> Iterator[str]:

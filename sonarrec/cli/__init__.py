@@ -8,6 +8,7 @@ import logging
 import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
@@ -21,8 +22,8 @@ from sonarrec.cli.endings import (
     print_notes,
     terminable,
 )
-from sonarrec.cli.groups import advice_on
-from sonarrec.errors import SonarrecError, is_url, name_as_text, redact_urls
+from sonarrec.cli.groups import advice_on, refuse_typography
+from sonarrec.errors import SonarrecError, command_line, is_url, name_as_text, redact_urls
 
 COMMANDS = (
     *("run", "info", "evaluate", "check", "report", "overlay", "export", "map"),
@@ -43,10 +44,26 @@ class _Program(click.Group):
         command: click.Command = getattr(module, f"{name}_" if name in ("map", "help") else name)
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click's own; of an option of a command it says where that stands."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.possibilities:
+                raise
+            how = f"the command comes first, as in sonarrec run {error.option_name}"
+            raise click.UsageError(f"{error.message.rstrip('.')}; {how}", ctx) from None
+
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        """As click's own, with what to use in place of a command that is gone."""
-        if args and args[0] not in COMMANDS and (advice := advice_on(args[0])):
-            ctx.fail(f"No such command {args[0]!r}. {advice}")
+        """As click's own, with what to use in place of a command that is gone or left out."""
+        word = args[0] if args else ""
+        if word and word not in COMMANDS:
+            refuse_typography([word], ())
+            if advice := advice_on(word):
+                ctx.fail(f"No such command {word!r}. {advice}")
+            if os.path.lexists(word):
+                how = command_line("run", Path(word))
+                ctx.fail(f"{word}: a file or folder, and the command comes first, as in {how}")
         return super().resolve_command(ctx, args)
 
     def main(self, *arguments: Any, **options: Any) -> Any:

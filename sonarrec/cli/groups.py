@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import re
-from collections.abc import Callable, Collection, Mapping
+import unicodedata
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial, wraps
 from importlib.resources import files
 from itertools import pairwise
@@ -14,11 +16,14 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from sonarrec.errors import UsageError, plain_number, refuse_url, similar_name
+from sonarrec.errors import QUOTES, UsageError, plain_number, refuse_url, similar_name
 
 FIRST = "Most used"
 GROUPS = ("Input", "Scoring", "Settings", "Geometry", "Many logs", "Output")
 """Of --help, in this order."""
+_DASHES = "\u2010\u2011\u2012\u2013\u2014\u2212"
+_TYPED = str.maketrans(dict.fromkeys(_DASHES, "-") | dict.fromkeys(QUOTES, "'") | {"\xa0": " "})
+_PASTED = re.compile(rf"-*([{_DASHES}])|(?:.*=)?([{QUOTES}])|.*([{QUOTES}])$|.*(\xa0)")
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -38,6 +43,22 @@ def advice_on(word: str) -> str:
             if word in {w for code in re.findall("`(.*?)`", named) for w in code.split()}:
                 return f"Gone: {' '.join(item.removeprefix('- ').split())}"
     return ""
+
+
+def refuse_typography(words: Iterable[str], known: Collection[str]) -> None:
+    """Raise UsageError for a word with a dash, quotes or a space of a word processor.
+
+    Names of files that are there may have them. known: options.
+    """
+    for word in words:
+        if (pasted := _PASTED.match(word)) and not os.path.lexists(word):
+            mark = unicodedata.name(next(filter(None, pasted.groups()))).lower()
+            plain = word.translate(_TYPED)
+            plain = f"-{plain}" if f"-{plain.partition('=')[0]}" in known else plain
+            raise UsageError(
+                f"{word}: holds the {mark} of a word processor, which the shell does not know; "
+                f"type {plain}"
+            )
 
 
 def _readable(value: Any) -> Any:
@@ -132,6 +153,7 @@ class GroupedCommand(click.Command):
             if not word or (option.startswith("--") and is_set and not value):
                 raise UsageError(f"empty argument after {option or before}; is a variable unset?")
         known = {name for param in self.params for name in param.opts}
+        refuse_typography(args, known)
         single = [f"-{word}" for word in args if f"-{word.partition('=')[0]}" in known]
         try:
             return super().parse_args(ctx, args)

@@ -76,19 +76,19 @@ def map_(
     from sonarrec.results.folders import folder_names, log_of
     from sonarrec.tables.outputs import below
 
-    folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
-    if out is None and len(folders) > 1:
-        raise UsageError("several RESULTS need --out, the folder of their map")
     on_earth = None
     if origin is not None:
-        on_earth = GeographicOrigin(*options.numbers("--origin", origin, 3))
+        on_earth = GeographicOrigin(*options.numbers("--origin", origin, "LAT,LON,HEADING"))
         if not (abs(on_earth.latitude_deg) < 90 and abs(on_earth.longitude_deg) <= 180):
             raise UsageError(
                 f"--origin {origin}: LAT must be between -90 and 90, LON from -180 to 180"
             )
-    errors = Drift(*options.numbers("--drift", drift or "0,0", 2))
+    errors = Drift(*options.numbers("--drift", drift or "0,0", "M,DEG"))
     if min(errors.position_m, errors.yaw_deg) < 0:
         raise UsageError(f"--drift {drift}: standard errors must not be negative")
+    folders = tuple(dict.fromkeys(results)) or (Path("sonarrec_out"),)
+    if out is None and len(folders) > 1:
+        raise UsageError("several RESULTS need --out, the folder of their map")
     given: dict[str, Any] = {"odometry": odometry, "drift": errors, "method": method}
     given |= {"landmarks": landmarks, "sonar": sonar, "min_frames": min_frames}
     problems: list[str] = []

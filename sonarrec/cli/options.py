@@ -28,7 +28,7 @@ from sonarrec.cli.groups import (
     in_scoring,
     in_settings,
 )
-from sonarrec.errors import UsageError, as_usage, is_url
+from sonarrec.errors import UsageError, as_usage, foreign_path, is_url
 from sonarrec.sonar.frame import Clock
 from sonarrec.tables import IMAGE_SUFFIXES
 
@@ -223,15 +223,17 @@ def _stated_in(values: dict[str, Any]) -> Sonar:
 sonar = as_one("sonar", {"sonar_file": _SONAR_FILE}, _stated_in)
 
 
-def numbers(flag: str, text: str, count: int | None = None) -> list[float]:
-    """The numbers of A,B,... Raises UsageError if they are not, or not so many."""
+def numbers(flag: str, text: str, form: str | None = None) -> list[float]:
+    """The numbers of A,B,... Raises UsageError if they are not, or not so many as `form` names."""
     try:
         values = [FiniteRange().convert(number, None, None) for number in text.split(",")]
     except click.BadParameter:
         values = []
-    if not values or count not in (None, len(values)):
-        several = "numbers" if count is None else f"{count} numbers"
-        raise UsageError(f"{flag} {text}: expected {several} separated by commas")
+    if not values or (form and len(values) != form.count(",") + 1):
+        several = f"{form}, {form.count(',') + 1} numbers" if form else "numbers"
+        raise UsageError(
+            f"{flag} {text}: expected {several} separated by commas, and decimals with a point"
+        )
     return values
 
 
@@ -429,6 +431,8 @@ def out(kind: click.Path, text: str, *endings: str, **options: Any) -> Decorator
 
     def checked(_: click.Context, __: click.Parameter, value: Path | str | None) -> Any:
         path = Path(value or "")
+        if not path.exists() and (meant := foreign_path(str(path))):
+            raise UsageError(f"--out {value}: not a name of a file or folder{meant}")
         ending = path.suffix.lower()
         is_wrong = ending in ENDINGS if kind.dir_okay else ending != ""
         if is_wrong and ending not in endings and (path.is_file() or not path.exists()):

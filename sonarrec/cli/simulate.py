@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sonarrec.cli import options
-from sonarrec.cli.endings import progress, say
+from sonarrec.cli.endings import print_notes, progress, say
 from sonarrec.cli.groups import ANY, IntegerRange, command, file_names, in_input
 from sonarrec.errors import number_of
 
@@ -53,6 +53,9 @@ def simulate(source: str, seed: int | None, frames: int | None, out: Path, quiet
     if frames is not None:
         scene = replace(scene, frames=frames)
     with progress(quiet, scene.frames) as step:
-        write_recording(scene, out, progress=lambda _: step())
+        seen = write_recording(scene, out, progress=lambda _: step())
     if not quiet:
         say(f"{out}: {number_of(scene.frames, 'frame')} of scene {scene.name!r}")
+    if not seen:
+        why = "check the positions (m) in the scene and the sonar's window"
+        print_notes((), [f"{out}: no landmark comes into view in any frame; {why}"])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sonarrec.errors import SonarrecError, UsageError, as_usage
+from sonarrec.errors import SonarrecError, UsageError, as_usage, similar_name
 from sonarrec.readers.named_logs import logs_named
 from sonarrec.readers.open import find_log
 from sonarrec.results.run_file import LogOptions, read_run
@@ -148,8 +148,11 @@ def _truth_of_log(where: str, path: str, options: LogOptions) -> Path:
 def read_check(path: Path) -> Check:
     """Read a check file. Raises UsageError if it is not there or invalid."""
     if not path.is_file():
+        what, meant = "no such file", similar_name(path)
+        if path.is_dir():
+            what, meant = "a folder, not a check file", ""
         raise UsageError(
-            f"{path}: no such file; it names the logs to run, as in `sonarrec help check`"
+            f"{path}: {what}; it names the logs to run, as in `sonarrec help check`{meant}"
         )
     with as_usage():
         file = from_table(CheckFile, read_toml(path), str(path))

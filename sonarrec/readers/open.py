@@ -11,6 +11,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -32,7 +33,14 @@ from sonarrec.readers.containers.oculus import OculusPings
 from sonarrec.readers.containers.video import VIDEO_SUFFIXES, VideoFrames
 from sonarrec.readers.raw import RawLog, Recording
 from sonarrec.sonar.stated import Sonar, load_sonar
-from sonarrec.tables import ARRAY_SUFFIX, IMAGE_SUFFIXES, PART, natural_order, something_else
+from sonarrec.tables import (
+    ARRAY_SUFFIX,
+    IMAGE_SUFFIXES,
+    PART,
+    kind_of,
+    natural_order,
+    something_else,
+)
 from sonarrec.tables.outputs import is_output
 from sonarrec.tables.toml import read_toml
 
@@ -217,6 +225,18 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     return next(filter(os.path.isfile, candidates), None)
 
 
+def misnamed_sonar(log: Path) -> str:
+    """A geometry next to a log that is not called as one, as the end of a message; empty: none."""
+    folder, own = log.parent, own_file(log, SONAR_FILE).name
+    if log.is_dir():
+        folder, own = log, SONAR_FILE
+    for path in sorted({*folder.glob("*.toml*"), *folder.glob("*.txt")}):
+        with suppress(SonarrecError):
+            if not path.name.endswith((f".{SONAR_FILE}", "run.toml")) and load_sonar(path):
+                return f"; {path.name} has a geometry: call it {own}"
+    return ""
+
+
 def own_file(log: Path, name: str) -> Path:
     """Where the file `name` of this log alone would be: in the same folder, called LOG.name."""
     return log.parent / f"{log_name(log)}.{name}"
@@ -367,6 +387,11 @@ def _reader_of(path: Path) -> Reader:
         raise SonarrecError(
             f"{path}: not a kind of log this program reads "
             f"(a folder of images or a ROS 2 bag, or a file: {', '.join(_ENDINGS)})"
+        )
+    if (kind := kind_of(head)) in ("image", "video") and kind != reader.kind:
+        raise SonarrecError(
+            f"{path}: its name is that of the kind {reader.kind}, but what it holds is of the kind "
+            f"{kind}; rename it by what it holds"
         )
     if head and is_output(path, "video"):
         raise SonarrecError(

@@ -72,13 +72,14 @@ def simulate(
 
 def write_recording(
     scene: AnyScene, out: Path, progress: Callable[[int], None] | None = None
-) -> None:
+) -> int:
     """Write frames, sonar.toml, gt.csv and scene.toml; of plates corners.csv and no scene.toml.
 
     out: an empty or new folder for NNNNNN.png; or a file NAME.mcap, with which NAME.sonar.toml,
     NAME.gt.csv and NAME.scene.toml are written. progress: called after each frame with the number
     of frames done. The messages of an MCAP of polar images state the sonar's geometry, and
-    sonar.toml only the rest. Raises SonarrecError if `out` cannot be written or is in use.
+    sonar.toml only the rest. Returns how many rows gt.csv has. Raises SonarrecError if `out` cannot
+    be written or is in use.
     """
     import tomli_w
 
@@ -102,7 +103,7 @@ def write_recording(
     documents["sonar"] = {"sonar": sonar.as_table()}
     if mcap:
         check_distinct(out)
-    frames = render(scene)
+    frames, seen = render(scene), 0
     with writing(out), filled_at_once(folder) as new, ExitStack() as stack:
 
         def table(name: str, columns: Iterable[str]) -> Any:
@@ -118,6 +119,7 @@ def write_recording(
         if mcap:
             messages = stack.enter_context(McapWriter(new / out.name, geometry))
         for frame in frames:
+            seen += len(frame.truth)
             if mcap:
                 messages.write(frame.timestamp_ns, frame.image)
             else:  # not by imwrite, which dies of names that are not UTF-8
@@ -135,3 +137,4 @@ def write_recording(
         for name, document in documents.items():
             text = tomli_w.dumps(document)
             (new / f"{prefix}{name}.toml").write_text(text, encoding="utf-8", newline="")
+    return seen

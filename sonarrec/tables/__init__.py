@@ -51,6 +51,7 @@ _SOMETHING_ELSE = {
     b"\x28\xb5\x2f\xfd": "compressed; unpack it",
     b"<!doctype html": "a web page; download the file again",
 }
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def something_else(head: bytes) -> str | None:
@@ -59,6 +60,29 @@ def something_else(head: bytes) -> str | None:
     return next(
         (what for mark, what in _SOMETHING_ELSE.items() if head.startswith(mark.lower())), None
     )
+
+
+_KINDS = {
+    "image": rb"\x89PNG|\xff\xd8\xff|II\*\0|MM\0\*|BM.{4}\0{4}|P5\s",
+    "video": rb"RIFF.{4}AVI |.{4}ftyp(?!heic|heix|mif1|avif)|\x1a\x45\xdf\xa3",
+    "MCAP": rb"\x89MCAP",
+    "ROS 1 bag": rb"#ROSBAG",
+    "ROS 2 bag (SQLite)": rb"SQLite format 3",
+}
+
+
+def kind_of(head: bytes) -> str | None:
+    """The kind of recording that a file is by its first bytes, as readers are called; or None."""
+    return next((k for k, mark in _KINDS.items() if re.match(mark, head, re.DOTALL)), None)
+
+
+def not_text(head: bytes, wanted: str) -> str | None:
+    """What a file is that begins so, and what to do; None if it may be a text. wanted: such as "a
+    TOML file"."""
+    if what := something_else(head):
+        return what
+    kind = kind_of(head) or ("binary" if b"\0" in head and head[:2] not in _UTF_16 else None)
+    return kind and f"not {wanted} but a file of another kind ({kind}); give {wanted} here"
 
 
 def refuse_pipe(path: Path) -> None:

@@ -18,7 +18,7 @@ from pandas.api.types import is_integer_dtype, is_numeric_dtype, union_categoric
 
 from sonarrec.arrays import FloatArray, IntArray
 from sonarrec.errors import SonarrecError, plain_number, printable
-from sonarrec.tables import refuse_pipe, something_else
+from sonarrec.tables import not_text, refuse_pipe
 
 Kind = Literal[
     "whole",
@@ -193,7 +193,7 @@ def _parts(
     refuse_pipe(path)
     if path.is_file():
         with path.open("rb") as file:
-            if (what := something_else(file.read(32))) is not None:
+            if what := not_text(file.read(32), "a CSV table"):
                 raise SonarrecError(f"{path}: {what}")
     options: Any = {"dtype": dtype, "chunksize": rows or 2**62, **_OPTIONS}
     parts = _in_one_line(path, expected, lambda: pd.read_csv(path, **options))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import io
 import re
 import reprlib
 import sys
@@ -20,11 +21,11 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 import msgspec
 
-from sonarrec.errors import SonarrecError, plain_number, redact_urls
-from sonarrec.tables import something_else
+from sonarrec.errors import QUOTES, SonarrecError, plain_number, redact_urls
+from sonarrec.tables import not_text
 
 MAX_LENGTH = 2**24
-"""Characters; a longer file cannot hold settings."""
+"""Bytes; a longer file cannot hold settings."""
 MAX_DEPTH = 32
 """Levels of nested tables and lists."""
 
@@ -58,19 +59,20 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_text(path: Path) -> str:
     """The text of a TOML file. Raises SonarrecError if it cannot be read."""
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            text = file.read(MAX_LENGTH + 1)
+        with path.open("rb") as file:
+            content = file.read(MAX_LENGTH + 1)
+        if what := not_text(content[:32], "a TOML file"):
+            raise SonarrecError(f"{path}: {what}")
+        if len(content) > MAX_LENGTH:
+            raise SonarrecError(
+                f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB"
+            )
+        text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
     except (OSError, UnicodeDecodeError) as fault:
         how = "; save it as UTF-8" if isinstance(fault, UnicodeDecodeError) else ""
         raise SonarrecError(
             f"{path}: not a readable TOML file, it cannot be read ({fault}){how}"
         ) from None
-    if what := something_else(text[:32].encode()):
-        raise SonarrecError(f"{path}: {what}")
-    if len(text) > MAX_LENGTH:
-        raise SonarrecError(
-            f"{path}: not a readable TOML file, it is larger than {MAX_LENGTH >> 20} MiB"
-        )
     return text
 
 
@@ -89,6 +91,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 _OPTION_OF = {
     "sonar": "--sonar",
     "landmark": "--landmarks",
+    "reader": "--model",
+    "log": "`sonarrec check`",
     **dict.fromkeys(("candidates", "continuity", "features", "smi"), "--config"),
 }
 """Of keys of one kind of file the option that takes it."""
@@ -98,6 +102,8 @@ def _how_to_write(text: str, fault: str) -> str:
     """What is usually meant where a text is not TOML; empty: not known."""
     if "overwrite" in fault:
         return "; a key stands there twice: delete one"
+    if "Unescaped" in fault or "Invalid hex" in fault:
+        return "; write / in place of \\ in paths"
     first = text.partition("\n")[0]
     if "," in first and "=" not in first:
         return "; it seems to be a CSV table: give a TOML file"
@@ -112,6 +118,7 @@ def _how_to_write(text: str, fault: str) -> str:
 
 _KEY = r"\s*(?P<key>[\w.-]+)\s*"
 _SLIPS = (
+    (rf"{_KEY}=[\s\[]*[{QUOTES}]", 'write straight quotes (") in place of typographic ones'),
     (rf"{_KEY}=\s*[-+]?[0-9]+,[0-9]", "decimals have a point"),
     (rf"{_KEY}=\s*(?P<value>true|false)\s*(#.*)?$", "write {key} = {small}, in small letters"),
     (rf"{_KEY}=\s*(?:yes|no|on|off)\s*(#.*)?$", "write {key} = true or {key} = false"),

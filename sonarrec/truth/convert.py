@@ -22,7 +22,7 @@ from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
 from sonarrec.sonar.geometry import pixel_from_polar
-from sonarrec.tables import composed, natural_order, something_else
+from sonarrec.tables import composed, natural_order, not_text
 from sonarrec.tables.read import ID_IN_LABELS, LARGEST, NONE
 from sonarrec.truth.check import misfit, report_other_logs
 from sonarrec.truth.coco import ATTRIBUTES, HALF_A_PIXEL, ImageObject, pictures_of, write_coco
@@ -93,7 +93,7 @@ def convert(
     except OSError as error:
         raise SonarrecError(f"{source}: cannot be read ({error.strerror})") from None
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        what = something_else(text[:32]) or f"not COCO JSON ({error})"
+        what = not_text(text[:32], "COCO JSON") or f"not COCO JSON ({error})"
         raise SonarrecError(
             f"{source}: {what}. This command reads COCO JSON; a CSV with the columns of gt.csv "
             "needs no conversion (sonarrec help truth)"
