@@ -29,6 +29,8 @@ TRUTH_FILE = "gt.csv"  # next to a log, as such or as NAME.gt.csv: its truth
 HEADER = "frame,landmark,x_px,y_px,visible"
 _SECONDS = ("time", "time_s", "t", "t_s", "timestamp", "timestamp_s", "stamp", "seconds", "sec")
 """Names, in lower case, that other programs give to times."""
+_OF_RESULTS = {"declared", "frames_declared", "protocol"}
+"""Columns of what `run` and `evaluate` write, beside `method`."""
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
 _KINDS: dict[str, Kind] = {
@@ -113,6 +115,11 @@ def read_rows(path: Path) -> TruthTable:
     """
     others: list[str] = []
     table = read_table(path, _KINDS, ("landmark",), HEADER, others)
+    if "method" in others and not _OF_RESULTS.isdisjoint(others):
+        raise SonarrecError(
+            f"{path}: a table of results, not of truth (it has the column method); `sonarrec truth "
+            "propose` makes one from results, which a person corrects"
+        )
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:
         seconds = next((name for name in others if name.lower() in _SECONDS), None)
