@@ -206,7 +206,7 @@ def check(
         checked += rows
         print_notes(diagnostics.problems)
         total = number_of(len(faults), "fault") if faults else "no fault"
-        if not quiet:
+        if not quiet and (rows or pairs[1:]):
             lines.append(f"{path}: {number_of(rows, 'row')}, {total}")
         say(*lines)
         print_notes((), diagnostics.notes)

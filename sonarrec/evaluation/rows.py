@@ -69,19 +69,18 @@ class ScoringOptions:
 
     def check_against(self, log: LogResults) -> None:
         """Raises UsageError if an option is larger than the log, so that anything would match."""
+        within_m, tolerance_s, times = self.within_m or 0, self.tolerance_s or 0, log.timestamp_ns
         size_m = math.inf if log.fan is None else log.fan.window_m
-        if (self.within_m or 0) > size_m:
+        if within_m > size_m:
             raise UsageError(
-                f"--within is a distance in m; {self.within_m:g} m is more than the {size_m:g} m "
-                f"of range that {log.name} shows; {self.within_m:g} cm are {self.within_m / 100:g}"
+                f"--within is a distance in m; {within_m:g} m is more than the {size_m:g} m of "
+                f"range that {log.name} shows; {within_m:g} cm are {within_m / 100:g}"
             )
-        times = log.timestamp_ns
         length_s = math.inf if times is None or len(times) < SHORT else np.ptp(times) / 1e9
-        if (self.tolerance_s or 0) > length_s:
+        if tolerance_s > length_s:
             raise UsageError(
-                f"--tolerance is a time in s; {self.tolerance_s:g} s is more than the "
-                f"{length_s:.4g} s of {log.name}; {self.tolerance_s:g} ms are "
-                f"{self.tolerance_s / 1000:g}"
+                f"--tolerance is a time in s; {tolerance_s:g} s is more than the {length_s:.4g} s "
+                f"of {log.name}; {tolerance_s:g} ms are {tolerance_s / 1000:g}"
             )
 
 

@@ -302,10 +302,13 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         line = line_number(path, first + row)
         how = "" if blank[row] or "number" not in must else plain_number(column.iloc[row])
         if in_ns and not blank[row]:
-            must += " of ns since 1970 (1 s is 1000000000)"
-            ns = _nanoseconds(column.iloc[[row]])[0]  # of a time, or a number as it is
-            ns *= 1e9 if values[row] % 1 > 0 else 1
-            how = f"; write {ns:.0f}" if np.isfinite(ns) else "; for a time its UTC offset counts"
+            must += " of ns (1 s is 1000000000)"
+            ns, how = _nanoseconds(column.iloc[[row]])[0], ""
+            if values[row] % 1 > 0:
+                how = "; multiply all by 1e9 if they are in seconds"
+            elif not np.isfinite(values[row]) and ":" in str(column.iloc[row]):
+                how = "; write the ns since 1970, which need the UTC offset of a time"
+                how = f"; write {ns:.0f}, the ns since 1970" if np.isfinite(ns) else how
         raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {value}{how}")
     if kind in _TEXTS:
         return values
