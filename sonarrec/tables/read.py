@@ -100,7 +100,7 @@ _BOUNDS: dict[Kind, _Bounds] = {
     "flag": _Bounds("0 or 1", 0, 1, integer=True),
 }
 ROUNDED_NS = 10**12
-"""1000 s: no log has frames so far apart, but 1.79517E+18 has no digits for less."""
+"""1000 s: no log has such steps, and 1.79517E+18 has no digits for less."""
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _MAY_BE_BLANK: tuple[Kind, ...] = ("blank or number", "blank or place", "share")
 
@@ -287,7 +287,7 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         ):
             raise SonarrecError(
                 f"{path}: {column.name} is rounded to {ROUNDED_NS // 10**9} s or more in every row "
-                f"({column.iloc[0]}), as spreadsheets do; export it anew as text, or use frame"
+                f"({column.iloc[0]}), as spreadsheets do; export it again as text, or use frame"
             )
         bad, must = ~((values >= bounds.least) & (values <= bounds.most)), bounds.words
         if bounds.integer and values.dtype.kind == "f":

@@ -162,13 +162,15 @@ def convert(
         x, y = pixel_from_polar(pictures.fan, *of_discs)
         visible = np.minimum(visible, share_in_image(pictures.fan, *of_discs, landmarks.radius_m))
         lost = visible == 0
-    lost &= [not shape[-1]["visible"] for shape in used]  # nobody has said what is in view
+    lost &= np.array(
+        [not shape[-1]["visible"] for shape in used], bool
+    )  # nobody has said what is in view
     if lost.any():
         image, _, at_x, at_y, *_ = used[np.argmax(lost)]
         diagnostics.problem(
-            f"{np.sum(lost)} of {number_of(len(used), 'shape')} lie outside the image, such as at "
-            f"{at_x:.0f}, {at_y:.0f} in {image.file_name}, left out; a box is [x, y, width, "
-            "height], not two corners"
+            f"{np.sum(lost)} of {number_of(len(used), 'shape')} lie outside the "
+            f"{'fan' if log else 'image'}, such as at {at_x:.0f}, {at_y:.0f} in "
+            f"{image.file_name}, left out; a box is [x, y, width, height], not two corners"
         )
         if lost.all():
             raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")

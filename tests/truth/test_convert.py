@@ -128,7 +128,7 @@ def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     stored = ["b30.png", "b4.png", "a99.png", "c1.png"]
     log = image_folder(tmp_path / "log", frames(4, 80, 100), names=stored)
     names = ["task/c1.jpg", "task/b4.jpg", "task/elsewhere9.jpg"]
-    annotations = [BBOX | {"image_id": 7 + n} for n in range(3)]
+    annotations = [point(50, 40) | {"image_id": 7 + n} for n in range(3)]
     source = coco(tmp_path, annotations, names)
     found = converted(source, "--log", log, code=3)
     assert [row[0] for row in found] == [1, 3]
