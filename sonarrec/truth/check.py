@@ -10,7 +10,7 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.errors import Diagnostics, number_of
 from sonarrec.sonar.frame import Fan
-from sonarrec.sonar.geometry import in_image, plane_position, polar_from_plane
+from sonarrec.sonar.geometry import in_image, polar_from_pixel, polar_from_plane
 from sonarrec.tables import composed
 from sonarrec.truth.match import ReadLog, Truth, share_in_image, wrong_unit
 from sonarrec.truth.table import TruthTable
@@ -44,14 +44,13 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
             f"{of_frames.max()}); is this the truth of another log?"
         )
     outside = outside_of_log(log, truth)
-    if fan is not None and truth.position is not None and np.sum(outside) > len(outside) / 2:
-        range_m, bearing_deg = (v[outside][0] for v in polar_from_plane(truth.position))
-        how = "are the units and the log right?"
-        assert table.position is not None
+    if fan is not None and table.position is not None and np.sum(outside) > len(outside) / 2:
         kind, *pair = table.position
-        meant = plane_position((kind, pair[1][truth.row], pair[0][truth.row]), fan)
-        assert meant is not None
-        inside = in_image(fan, *polar_from_plane(meant))
+        stated, exchanged = pair, pair[::-1]
+        if kind == "pixel":
+            stated, exchanged = ([*polar_from_pixel(fan, *p)] for p in (stated, exchanged))
+        range_m, bearing_deg = (v[truth.row][outside][0] for v in stated)
+        inside, how = in_image(fan, *exchanged)[truth.row], "are the units and the log right?"
         if inside.mean() > NEARLY_ALL:
             names = "x_px and y_px" if kind == "pixel" else "range_m and bearing_deg"
             how = f"{np.sum(inside)} lie in it if {names} are exchanged; rename the columns"

@@ -150,8 +150,6 @@ def convert(
             f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}"
         )
     used = [shape for shape in shapes if shape[1] in ids and shape[0].file_name in frames]
-    if diagnostics.problems and not used:
-        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
     x, y, visible = np.array([shape[2:5] for shape in used], float).reshape(-1, 3).T
     sizes = [(shape[0].width or math.inf, shape[0].height or math.inf) for shape in used]
     columns, rows_px = np.array(sizes, float).reshape(-1, 2).T
@@ -172,8 +170,8 @@ def convert(
             f"{'fan' if log else 'image'}, such as at {at_x:.0f}, {at_y:.0f} in "
             f"{image.file_name}, left out; a box is [x, y, width, height], not two corners"
         )
-        if lost.all():
-            raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
+    if diagnostics.problems and lost.all():
+        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
     extra = [c for c in ATTRIBUTES[1:] if any(shape[-1][c] for shape in used)]
     rows = {
         (
