@@ -220,9 +220,10 @@ def _in_one_line(path: Path, expected: str, read: Callable[[], Any]) -> Any:
     except UnicodeDecodeError:
         why = "not in UTF-8; save it as that"
     except (pd.errors.ParserWarning, ValueError) as error:  # as pandas' ParserError is
-        why = " ".join(str(error).split())[:MOST_SHOWN]
-        if isinstance(error, pd.errors.ParserWarning) or "Expected" in why:
-            why = "rows are longer than the header"
+        why = "rows are longer than the header"
+        if not (longer := isinstance(error, pd.errors.ParserWarning)):
+            why = " ".join(str(error).split())[:MOST_SHOWN]  # it has the line
+        if longer or "Expected" in why:
             with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
                 how = _other_separator(file.readline(MOST_SHOWN)) or (
                     "; a comma separates cells, so write decimals with a point, and texts with a "
