@@ -235,3 +235,16 @@ def test_a_whole_number_is_asked_for_with_an_example(text: str) -> None:
 @pytest.mark.usefixtures("here")
 def test_a_command_of_one_method_takes_one() -> None:
     assert "smi" in refused("map", "sonarrec_out/dive", "--method", "framework", "--method", "smi")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "meant"), [("--within", "15", "0.15"), ("--tolerance", "125", "0.125")]
+)
+def test_a_tolerance_larger_than_the_log_is_asked_for_in_its_unit(
+    option: str, value: str, meant: str, tmp_path: Path
+) -> None:
+    call = "evaluate", SAMPLE.parent / "regression" / "pan", "--ground-truth"
+    call = *call, SAMPLE.parent / "pan.gt.csv", "-q", "-o", tmp_path / "out", option
+    assert meant in sonarrec(*call, value, code=2).stderr
+    assert not (tmp_path / "out").exists()
+    sonarrec(*call, meant)

@@ -20,7 +20,13 @@ from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import Advice, number_of
 from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
 from sonarrec.results.read import LogResults
-from sonarrec.sonar.geometry import plane_from_polar, plane_position, polar_from_plane
+from sonarrec.sonar.geometry import (
+    pixel_from_plane,
+    plane_from_polar,
+    plane_position,
+    polar_from_pixel,
+    polar_from_plane,
+)
 from sonarrec.truth.table import TruthTable
 
 MOST_ROWS = 500  # are asked which reading fits; more add nothing
@@ -117,6 +123,8 @@ class _Sightings:
     frames: IntArray
     stretch: IntArray
     gate_m: float
+    in_pixels: bool
+    """Whether the positions of the rows are stated so."""
 
     def meeting(self, rows: _Points) -> _Meeting:
         """How these rows and the claims meet."""
@@ -215,6 +223,7 @@ def _sightings(
         frames=frames,
         stretch=stretch,
         gate_m=matched.gate_m,
+        in_pixels=table.position is not None and table.position[0] == "pixel",
     )
 
 
@@ -232,7 +241,7 @@ def _reason(both: _Sightings, log: LogResults) -> str | None:
     sure = rows.of(rows.sure)
     sample = sure.of(slice(None, None, -(-len(sure.frame) // MOST_ROWS)))
     most = min(MOST_SHIFT, int(np.ptp(both.frames)))
-    ways = _other_positions(log)
+    ways = _other_positions(log, both.in_pixels)
     fits: dict[tuple[str, ...], FloatArray] = {(): both.fits(sample, most)}
     given = float(fits[()][most])
     explained, doubtful = min(both.meeting(rows).shares) >= NEARLY_ALL, False
@@ -334,7 +343,7 @@ def _part(both: _Sightings, log: LogResults) -> str:
     row, claim = equal_pairs(rest.rows.frame, rest.claims.frame)
     same = rest.rows.landmark[row] == rest.claims.landmark[claim]
     rivals = replace(rest, rows=rest.rows.of(np.unique(row[same])))  # without misses
-    for words, way in _other_positions(log).items():
+    for words, way in _other_positions(log, both.in_pixels).items():
         meeting = rivals.meeting(rivals.rows._replace(position=way(rivals.rows.position)))
         if _explains(meeting, len(rivals.rows.frame)) and meeting.rows_met > PART * rows:
             return f"{meeting.rows_met} of {rows} rows would meet claims only {words}"
@@ -347,7 +356,7 @@ def _explains(meeting: _Meeting, rows: int) -> bool:
     return enough and min(meeting.shares) >= NEARLY_ALL
 
 
-def _other_positions(log: LogResults) -> dict[str, Way]:
+def _other_positions(log: LogResults, in_pixels: bool) -> dict[str, Way]:
     """The ways in which positions may have been stated, in words."""
     ways: dict[str, Way] = {
         "with the sign of their bearings reversed": lambda position: position * (-1, 1),
@@ -361,6 +370,13 @@ def _other_positions(log: LogResults) -> dict[str, Way]:
             return plane_from_polar(ends_m - range_m, bearing_deg)
 
         ways["with the other --range-order"] = from_other_end
+    if in_pixels and (fan := log.fan) is not None:
+
+        def exchanged(position: FloatArray) -> FloatArray:
+            x_px, y_px = pixel_from_plane(fan, position).T
+            return plane_from_polar(*polar_from_pixel(fan, y_px, x_px))
+
+        ways["with x_px and y_px exchanged"] = exchanged
     return ways
 
 

@@ -6,21 +6,27 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import pairwise
 from math import dist
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.advice.truth import of_another_geometry, sparse, unread_columns
+from sonarrec.advice.truth import (
+    floor_position,
+    of_another_geometry,
+    overlaps,
+    sparse,
+    unread_columns,
+)
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.landmarks import LandmarkSet
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import find_log
 from sonarrec.results.folders import possible_names
-from sonarrec.sonar.geometry import ground_range, plane_from_polar, polar_from_pixel
+from sonarrec.sonar.geometry import polar_from_pixel
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.check import SLACK, outside_image
 from sonarrec.truth.match import match_times, share_in_image, wrong_unit
@@ -79,8 +85,7 @@ def check_truth(
         for a, b in lines[repeated_rows(table)].tolist():
             if b in line:
                 faults.append(Fault(b, "repeated", f"repeats line {a}"))
-        # Nearer than the floor counts as straight below.
-        floor = plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
+        floor = floor_position(fan, range_m, bearing_deg)
         share = share_in_image(fan, range_m, bearing_deg, radius_m)
         outside = outside_image(fan, range_m, bearing_deg, radius_m)
         # Something else may hide a landmark too, so `visible` may be less.
@@ -155,13 +160,15 @@ def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
 
 def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
     """Two landmarks of one frame, of equal or different ID, that would lie on each other."""
-    for group in _by_frame(rows).values():
-        for a, b in combinations(group, 2):
-            distance = dist(a.floor, b.floor)
-            # The same ID in the same position is a repeated row, which is another fault.
-            if distance < radius_m and (distance or a.landmark != b.landmark):
-                text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
-                yield Fault(b.line, "overlap", text)
+    frame = np.array([row.frame for row in rows], np.int64)
+    floor = np.array([row.floor for row in rows]).reshape(-1, 2)
+    for first, later in zip(*overlaps(frame, floor, radius_m), strict=True):
+        a, b = rows[first], rows[later]
+        distance = dist(a.floor, b.floor)
+        # The same ID in the same position is a repeated row, which is another fault.
+        if a.frame >= 0 and (distance or a.landmark != b.landmark):
+            text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
+            yield Fault(b.line, "overlap", text)
 
 
 def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:

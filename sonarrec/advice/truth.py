@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
-from sonarrec.arrays import IntArray
+from sonarrec.arrays import BoolArray, FloatArray, IntArray
 from sonarrec.errors import Advice, listed
+from sonarrec.evaluation.rows import equal_pairs
 from sonarrec.sonar.frame import Fan
-from sonarrec.sonar.geometry import pixel_from_polar
-from sonarrec.truth.check import outside_of_log
-from sonarrec.truth.match import ReadLog, Truth
+from sonarrec.sonar.geometry import (
+    ground_range,
+    in_image,
+    pixel_from_polar,
+    plane_from_polar,
+    polar_from_plane,
+)
+from sonarrec.truth.check import SLACK, outside_of_log
+from sonarrec.truth.match import ReadLog, Truth, share_in_image
 from sonarrec.truth.table import TruthTable
 
 MOST_DIFFERENCE_PX = 3.0  # of two statements of one position by one geometry
@@ -71,16 +79,67 @@ def outside(table: TruthTable, log: ReadLog, truth: Truth, check: str = "") -> I
 
     truth: as matched to the log. check: the command that checks the truth of this log.
     """
-    wrong = outside_of_log(log, truth)
+    text = f"lie outside the image of {log.name}"
+    yield from _positions(table, log, truth, outside_of_log(log, truth), text, check)
+
+
+def counted_as_missed(
+    table: TruthTable, log: ReadLog, truth: Truth, min_visible: float, check: str = ""
+) -> Iterator[Advice]:
+    """Whether rows count as missed without need: the image's edge cuts their discs but `visible`
+    counts, or they lie on another row; grave if many do.
+
+    truth, check: as in `outside`, which tells of discs that lie there. min_visible: from which
+    share in view a landmark counts.
+    """
+    beyond = outside_of_log(log, truth)
+    if log.fan is None or truth.position is None or np.sum(beyond) > MOST_OUTSIDE * len(beyond):
+        return
+    (range_m, bearing_deg), radius_m = polar_from_plane(truth.position), log.landmarks.radius_m
+    floor = floor_position(log.fan, range_m, bearing_deg)
+    # Shares are slow, so only where a side of the disc is not in the image.
+    side_deg = np.degrees(np.arctan2(radius_m, np.linalg.norm(floor, axis=1)))
+    sides = product((-radius_m, radius_m), (-side_deg, side_deg))
+    inner = [in_image(log.fan, range_m + far, bearing_deg + right) for far, right in sides]
+    edge = np.flatnonzero(~np.all(inner, axis=0) & ~beyond & (truth.visible >= min_visible))
+    share = share_in_image(log.fan, range_m[edge], bearing_deg[edge], radius_m)
+    cut, double = np.zeros((2, len(beyond)), bool)
+    cut[edge] = (share < min_visible) & (truth.visible[edge] > share + SLACK)
+    text = (
+        f"have less than {min_visible:g} of the disc in the image of {log.name} but no `visible` "
+        "that says so, and count as missed"
+    )
+    yield from _positions(table, log, truth, cut, text, check)
+    double[overlaps(truth.frame_index, floor, radius_m)[1]] = True
+    text = f"lie on another row of {log.name}, and one of the two counts as missed"
+    yield from _positions(table, log, truth, double, text, check)
+
+
+def _positions(
+    table: TruthTable, log: ReadLog, truth: Truth, wrong: BoolArray, text: str, check: str
+) -> Iterator[Advice]:
+    """How many positions are (T,) wrong, and where; if any is."""
     if wrong.any():
         frames = log.frame[np.unique(truth.frame_index[wrong])].tolist()
         where = f"{'frames' if frames[1:] else 'frame'} {listed(frames, MOST_FRAMES)}"
         how = f"; {check} has their lines" if check else ""
         yield Advice(
-            f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions lie outside the image of "
-            f"{log.name}, in {where}{how}",
+            f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions {text}, in {where}{how}",
             grave=bool(wrong.mean() > MOST_OUTSIDE),
         )
+
+
+def floor_position(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> FloatArray:
+    """(n, 2) m on the floor, to the right and ahead; nearer than the floor is straight below."""
+    return plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
+
+
+def overlaps(frame: IntArray, floor: FloatArray, radius_m: float) -> tuple[IntArray, IntArray]:
+    """The pairs of (n,) rows, first and later one, of one frame that are nearer than a radius."""
+    first, later = equal_pairs(frame, frame)
+    near = np.linalg.norm(floor[first] - floor[later], axis=1) < radius_m
+    near &= first < later
+    return first[near], later[near]
 
 
 def sparse(index: IntArray, frame: IntArray) -> str:
@@ -106,11 +165,18 @@ def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name
     if fan is None or table.pixel is None or table.position is None:
         return ""
     stated = np.column_stack(pixel_from_polar(fan, *(v[rows] for v in table.position[1:])))
-    difference_px = np.linalg.norm(table.pixel[rows] - stated, axis=1)
+    difference_px, exchanged_px = (
+        np.linalg.norm(pixel - stated, axis=1)
+        for pixel in (table.pixel[rows], table.pixel[rows, ::-1])
+    )
     difference_px = difference_px[np.isfinite(difference_px)]
     wrong = np.sum(difference_px > MOST_DIFFERENCE_PX)
     if wrong <= len(difference_px) / 2:
         return ""
+    if np.nanmedian(exchanged_px) <= MOST_DIFFERENCE_PX:
+        return (
+            f"x_px and y_px are exchanged, as range_m and bearing_deg tell in {name}; rename them"
+        )
     return (
         f"{wrong} of {len(difference_px)} rows have x_px, y_px and range_m, bearing_deg that "
         f"differ by more than {MOST_DIFFERENCE_PX:g} px in {name} (median "

@@ -178,8 +178,9 @@ def check(
     from sonarrec.readers.open import find_log
     from sonarrec.results.run_file import read_run
     from sonarrec.runs.prepare import chosen_landmarks
+    from sonarrec.truth.check import without_rows
 
-    is_faulty, unread = False, list[SonarrecError]()
+    is_faulty, checked, unread = False, 0, list[SonarrecError]()
     pairs = _truths(ground_truth, log)
     for path, source in pairs:
         try:
@@ -202,13 +203,16 @@ def check(
         for kind, count in counts.items():
             if count > MOST_FAULTS:
                 lines.append(f"... and {count - MOST_FAULTS} more of this kind: {kind}")
+        checked += rows
         print_notes(diagnostics.problems)
         total = number_of(len(faults), "fault") if faults else "no fault"
-        if not quiet:
+        if not quiet and (rows or pairs[1:]):
             lines.append(f"{path}: {number_of(rows, 'row')}, {total}")
         say(*lines)
         print_notes((), diagnostics.notes)
         is_faulty |= bool(faults or diagnostics.problems)
+    if not checked:
+        raise SonarrecError(without_rows(pairs[0][0], 0, (), "nothing is checked"))
     if is_faulty or unread:
         leave(PARTLY)
 

@@ -104,6 +104,7 @@ def score_log(
         replace(read_log(folder, options.landmarks, options.sonar), name=log.name)
         for folder in log.results
     ]
+    options.check_against(sides[-1])
     source = recording(log.results[-1], sides[-1].run)
     common, notes, unused = sides[0].frame, list[str](), list[str]()
     if sides[1:]:

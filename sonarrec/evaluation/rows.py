@@ -33,6 +33,10 @@ PAPER_MIN_VISIBLE = 0.5
 those of frames with its centre, or half the disc, in view."""
 
 
+SHORT = 5
+"""Frames; a log of fewer may be shorter than the tolerance."""
+
+
 @dataclass(frozen=True, slots=True)
 class ScoringOptions:
     """How results are read and compared with truth."""
@@ -62,6 +66,22 @@ class ScoringOptions:
             raise UsageError(f"--tolerance is a time in s, 0 or more, not {self.tolerance_s:g}")
         if self.within_m is not None and not 0 < self.within_m < math.inf:
             raise UsageError(f"--within is a distance in m above 0, not {self.within_m:g}")
+
+    def check_against(self, log: LogResults) -> None:
+        """Raises UsageError if an option is larger than the log, so that anything would match."""
+        within_m, tolerance_s, times = self.within_m or 0, self.tolerance_s or 0, log.timestamp_ns
+        size_m = math.inf if log.fan is None else log.fan.window_m
+        if within_m > size_m:
+            raise UsageError(
+                f"--within is a distance in m; {within_m:g} m is more than the {size_m:g} m of "
+                f"range that {log.name} shows; {within_m:g} cm are {within_m / 100:g}"
+            )
+        length_s = math.inf if times is None or len(times) < SHORT else np.ptp(times) / 1e9
+        if tolerance_s > length_s:
+            raise UsageError(
+                f"--tolerance is a time in s; {tolerance_s:g} s is more than the {length_s:.4g} s "
+                f"of {log.name}; {tolerance_s:g} ms are {tolerance_s / 1000:g}"
+            )
 
 
 DEFAULT = ScoringOptions()

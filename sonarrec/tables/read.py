@@ -99,6 +99,8 @@ _BOUNDS: dict[Kind, _Bounds] = {
     "share": _Bounds("0 to 1", 0, 1),
     "flag": _Bounds("0 or 1", 0, 1, integer=True),
 }
+ROUNDED_NS = 10**12
+"""1000 s: no log has such steps, and 1.79517E+18 has no digits for less."""
 _TEXTS: tuple[Kind, ...] = ("text", "blank or text")
 _MAY_BE_BLANK: tuple[Kind, ...] = ("blank or number", "blank or place", "share")
 
@@ -217,12 +219,16 @@ def _in_one_line(path: Path, expected: str, read: Callable[[], Any]) -> Any:
         why = "it is empty"
     except UnicodeDecodeError:
         why = "not in UTF-8; save it as that"
-    except pd.errors.ParserWarning:
+    except (pd.errors.ParserWarning, ValueError) as error:  # as pandas' ParserError is
         why = "rows are longer than the header"
-        with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
-            how = _other_separator(file.readline(MOST_SHOWN))
-    except ValueError as error:  # as pandas' ParserError is
-        why = " ".join(str(error).split())[:MOST_SHOWN]
+        if not (longer := isinstance(error, pd.errors.ParserWarning)):
+            why = " ".join(str(error).split())[:MOST_SHOWN]  # it has the line
+        if longer or "Expected" in why:
+            with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
+                how = _other_separator(file.readline(MOST_SHOWN)) or (
+                    "; a comma separates cells, so write decimals with a point, and texts with a "
+                    "comma in quotes"
+                )
     raise SonarrecError(
         f"{path}: not a readable CSV table ({why}); expected a header such as {expected}{how}"
     )
@@ -273,6 +279,17 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
             text = column.astype(str).str.strip()
             number = text.str.replace(rf"^{ID_IN_LABELS}(?=\d)", "", case=False, regex=True)
             values = np.where(text == "none", NONE, _numbers(number))
+        in_ns = kind == "whole" and str(column.name).endswith("_ns")
+        if (
+            in_ns
+            and len(values)
+            and np.all(values > ROUNDED_NS)
+            and not np.any(values % ROUNDED_NS)
+        ):
+            raise SonarrecError(
+                f"{path}: {column.name} is rounded to {ROUNDED_NS // 10**9} s or more in every row "
+                f"({column.iloc[0]}), as spreadsheets do; export it again as text, or use frame"
+            )
         bad, must = ~((values >= bounds.least) & (values <= bounds.most)), bounds.words
         if bounds.integer and values.dtype.kind == "f":
             bad |= (values != np.floor(values)) | (np.abs(values) >= 2.0**63)
@@ -283,10 +300,16 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
         value = "an empty cell or nan" if blank[row] else repr(str(column.iloc[row])[:40])
         if kind in ("place", "blank or place") and np.isfinite(values[row]):
             must += " from -1e9 to 1e9"
-        if str(column.name).endswith("_ns") and kind == "whole" and values[row] % 1 > 0:
-            must += " of ns (1 s is 1000000000)"
         line = line_number(path, first + row)
         how = "" if blank[row] or "number" not in must else plain_number(column.iloc[row])
+        if in_ns and not blank[row]:
+            must += " of ns (1 s is 1000000000)"
+            ns, how = _nanoseconds(column.iloc[[row]])[0], ""
+            if values[row] % 1 > 0:
+                how = "; multiply all by 1e9 if they are in seconds"
+            elif not np.isfinite(values[row]) and ":" in str(column.iloc[row]):
+                how = "; write the ns since 1970, which need the UTC offset of a time"
+                how = f"; write {ns:.0f}, the ns since 1970" if np.isfinite(ns) else how
         raise SonarrecError(f"{path} line {line}: {column.name} must be {must}, not {value}{how}")
     if kind in _TEXTS:
         return values

@@ -10,13 +10,15 @@ import numpy as np
 from sonarrec.arrays import BoolArray, FloatArray
 from sonarrec.errors import Diagnostics, number_of
 from sonarrec.sonar.frame import Fan
-from sonarrec.sonar.geometry import in_image, polar_from_plane
+from sonarrec.sonar.geometry import in_image, polar_from_pixel, polar_from_plane
 from sonarrec.tables import composed
 from sonarrec.truth.match import ReadLog, Truth, share_in_image, wrong_unit
 from sonarrec.truth.table import TruthTable
 
 SLACK = 0.1
 """Tolerance for labels made by eye: a tenth of the radius in position, of the area in `visible`."""
+NEARLY_ALL = 0.8
+"""Of positions, that lie in the image if columns are exchanged."""
 
 
 def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
@@ -42,13 +44,21 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
             f"{of_frames.max()}); is this the truth of another log?"
         )
     outside = outside_of_log(log, truth)
-    if fan is not None and truth.position is not None and np.sum(outside) > len(outside) / 2:
-        range_m, bearing_deg = (v[outside][0] for v in polar_from_plane(truth.position))
+    if fan is not None and table.position is not None and np.sum(outside) > len(outside) / 2:
+        kind, *pair = table.position
+        stated, exchanged = pair, pair[::-1]
+        if kind == "pixel":
+            stated, exchanged = ([*polar_from_pixel(fan, *p)] for p in (stated, exchanged))
+        range_m, bearing_deg = (v[truth.row][outside][0] for v in stated)
+        inside, how = in_image(fan, *exchanged)[truth.row], "are the units and the log right?"
+        if inside.mean() > NEARLY_ALL:
+            names = "x_px and y_px" if kind == "pixel" else "range_m and bearing_deg"
+            how = f"{np.sum(inside)} lie in it if {names} are exchanged; rename the columns"
         return (
             f"{table.path}: {np.sum(outside)} of its {len(outside)} positions lie outside the "
             f"image of {log.name} ({fan.range_min_m:g} to {fan.range_max_m:g} m, "
             f"{fan.bearing_min_deg:g} to {fan.bearing_max_deg:g} deg); "
-            f"such as {range_m:.4g} m, {bearing_deg:.4g} deg; are the units and the log right?"
+            f"such as {range_m:.4g} m, {bearing_deg:.4g} deg; {how}"
         )
     return None
 

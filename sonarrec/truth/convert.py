@@ -3,6 +3,7 @@ gt.csv to COCO."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -149,14 +150,28 @@ def convert(
             f"{number_of(len(missing), 'image')} not in the log, such as {min(missing)}"
         )
     used = [shape for shape in shapes if shape[1] in ids and shape[0].file_name in frames]
-    if diagnostics.problems and not used:
-        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
     x, y, visible = np.array([shape[2:5] for shape in used], float).reshape(-1, 3).T
+    sizes = [(shape[0].width or math.inf, shape[0].height or math.inf) for shape in used]
+    columns, rows_px = np.array(sizes, float).reshape(-1, 2).T
+    lost = (x < -1) | (y < -1) | (x > columns) | (y > rows_px)
     if pictures and used:
         size, *others = {(image.width, image.height) for image, *_ in used}
         of_discs = pictures.polar((None, None) if others else size, x, y)
         x, y = pixel_from_polar(pictures.fan, *of_discs)
         visible = np.minimum(visible, share_in_image(pictures.fan, *of_discs, landmarks.radius_m))
+        lost = visible == 0
+    lost &= np.array(
+        [not shape[-1]["visible"] for shape in used], bool
+    )  # nobody has said what is in view
+    if lost.any():
+        image, _, at_x, at_y, *_ = used[np.argmax(lost)]
+        diagnostics.problem(
+            f"{np.sum(lost)} of {number_of(len(used), 'shape')} lie outside the "
+            f"{'fan' if log else 'image'}, such as at {at_x:.0f}, {at_y:.0f} in "
+            f"{image.file_name}, left out; a box is [x, y, width, height], not two corners"
+        )
+    if diagnostics.problems and lost.all():
+        raise SonarrecError(f"{source}: nothing can be used: {'; '.join(diagnostics.problems)}")
     extra = [c for c in ATTRIBUTES[1:] if any(shape[-1][c] for shape in used)]
     rows = {
         (
@@ -165,6 +180,7 @@ def convert(
             *(texts[c] for c in extra),
         )
         for n, (image, label, *_, texts) in enumerate(used)
+        if not lost[n]
     }
     names_of_ids = {i: f"ID.{i}" for i in landmarks.ids} | {NONE: "none"}
     written = [(n, "none" if i == NONE else i, *cells) for n, i, *cells in sorted(rows)]

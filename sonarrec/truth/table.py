@@ -22,6 +22,7 @@ from sonarrec.tables.read import (
     line_number,
     mistaken_columns,
     position_pair,
+    read_header,
     read_table,
 )
 
@@ -29,6 +30,13 @@ TRUTH_FILE = "gt.csv"  # next to a log, as such or as NAME.gt.csv: its truth
 HEADER = "frame,landmark,x_px,y_px,visible"
 _SECONDS = ("time", "time_s", "t", "t_s", "timestamp", "timestamp_s", "stamp", "seconds", "sec")
 """Names, in lower case, that other programs give to times."""
+_OF_RESULTS = (
+    {"method", "declared"},
+    {"method", "frames_declared"},
+    {"method", "protocol"},
+    {"frame", "candidates", "tracks"},
+)
+"""Columns that tell the tables of `run` and `evaluate`."""
 TRACKED, FILLED_IN = "tracked", "interpolated"
 """In the column `source` of a proposal: what its rows are."""
 _KINDS: dict[str, Kind] = {
@@ -111,7 +119,12 @@ def read_rows(path: Path) -> TruthTable:
 
     Raises SonarrecError on wrong columns and on a cell that is no number.
     """
-    others: list[str] = []
+    others, header = list[str](), {*read_header(path, HEADER)}
+    if any(columns <= header for columns in _OF_RESULTS):
+        raise SonarrecError(
+            f"{path}: a table of results, not of truth; `sonarrec truth propose` makes a truth "
+            "from results, which a person corrects"
+        )
     table = read_table(path, _KINDS, ("landmark",), HEADER, others)
     key = "frame" if "frame" in table else "timestamp_ns"
     if key not in table:

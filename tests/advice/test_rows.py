@@ -127,13 +127,11 @@ def test_a_log_is_known_by_its_folders_and_its_name(tmp_path: Path, log: Path) -
     assert [fault.line for fault in found] == [3]
 
 
-def test_truth_of_other_logs_alone_is_a_failure_and_an_empty_one_is_sound(
-    tmp_path: Path, log: Path
-) -> None:
+def test_truth_of_other_logs_alone_or_without_rows_is_a_failure(tmp_path: Path, log: Path) -> None:
     path = truth(tmp_path, ["a,0,1,2.0,0"], "log,frame,landmark,range_m,bearing_deg")
     assert "pings" in run(path, log, code=1).stderr
     for header in ("frame,landmark,x_px,y_px", "timestamp_ns,landmark,range_m,bearing_deg"):
-        assert "0 rows" in run(truth(tmp_path, [], header), log).stdout
+        assert "no row" in run(truth(tmp_path, [], header), log, code=1).stderr
 
 
 def test_a_range_of_nothing_or_less_is_outside(tmp_path: Path, log: Path) -> None:

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from sonarrec.advice.results import of_results
-from sonarrec.advice.truth import outside, sparse
+from sonarrec.advice.truth import counted_as_missed, outside, sparse
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.landmarks import load_landmarks
 from sonarrec.truth.match import match_truth
 from sonarrec.truth.table import read_truth
-from tests.support.command import sonarrec
+from tests.support.command import SAMPLE, sonarrec
 from tests.support.crossing import write_crossing
 from tests.support.drawn import make_fan
+from tests.support.estimates import csv_file
+from tests.support.rows import read_rows as csv_rows
 
 
 @pytest.mark.parametrize(
@@ -75,6 +77,50 @@ def test_many_positions_outside_the_image_are_a_problem(
     (line,) = outside(table, log, match_truth(table, log))
     assert f"{count} of 40 positions lie" in line.text
     assert line.grave == is_problem
+
+
+@pytest.mark.parametrize("stated", [None, 0.4])
+def test_rows_that_count_as_missed_without_need_are_told(
+    tmp_path: Path, stated: float | None
+) -> None:
+    """Discs that the image's edge cuts in the middle, if `visible` is not stated; and doubles."""
+    path, fan = tmp_path / "gt.csv", make_fan()
+    middle = (fan.bearing_min_deg + fan.bearing_max_deg) / 2
+    range_m = (fan.range_min_m + fan.range_max_m) / 2
+    cells = [(n, range_m, fan.bearing_max_deg if n < 12 else middle) for n in range(40)]
+    cells += [(n, range_m + 0.02, middle) for n in (20, 21)]
+    path.write_text(
+        "frame,landmark,range_m,bearing_deg,visible\n"
+        + "".join(f"{n},1,{r},{b},{stated if n < 12 and stated else 1}\n" for n, r, b in cells)
+    )
+    basin, frame = load_landmarks("basin"), np.arange(40)
+    log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
+    table = read_truth(path)
+    *cut, double = counted_as_missed(table, log, match_truth(table, log), 0.9)
+    assert [line.grave for line in cut] == ([] if stated else [True])
+    assert all("12 of 42" in line.text for line in cut)
+    assert "2 of 42" in double.text
+    assert not double.grave
+
+
+@pytest.mark.parametrize(
+    ("columns", "header", "code"),
+    [
+        ("x_px,y_px", "y_px,x_px", 3),
+        ("range_m,bearing_deg", "bearing_deg,range_m", 1),
+        ("x_px,y_px,range_m,bearing_deg", "y_px,x_px,range_m,bearing_deg", 3),
+    ],
+)
+def test_exchanged_columns_are_named(tmp_path: Path, columns: str, header: str, code: int) -> None:
+    names = ["frame", "landmark", *columns.split(","), "visible"]
+    given = csv_rows(SAMPLE.parent / "pan.gt.csv")
+    lines = [",".join(row[name] for name in names) for row in given]
+    truth = csv_file(tmp_path / "gt.csv", f"frame,landmark,{header},visible", *lines)
+    results = SAMPLE.parent / "regression" / "pan"
+    call = "evaluate", results, "--ground-truth", truth, "-q", "-o", tmp_path / "out"
+    first = sonarrec(*call, code=code).stderr.partition("\n")[0]
+    assert "exchanged" in first
+    assert columns[:4] in first
 
 
 def test_scoring_by_itself_advises_nothing_and_gives_the_same_counts(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_frames_by_name_in_the_log(tmp_path: Path) -> None:
     stored = ["b30.png", "b4.png", "a99.png", "c1.png"]
     log = image_folder(tmp_path / "log", frames(4, 80, 100), names=stored)
     names = ["task/c1.jpg", "task/b4.jpg", "task/elsewhere9.jpg"]
-    annotations = [BBOX | {"image_id": 7 + n} for n in range(3)]
+    annotations = [point(50, 40) | {"image_id": 7 + n} for n in range(3)]
     source = coco(tmp_path, annotations, names)
     found = converted(source, "--log", log, code=3)
     assert [row[0] for row in found] == [1, 3]
@@ -182,7 +182,7 @@ def test_an_existing_truth_is_never_written_over(tmp_path: Path) -> None:
 
 
 def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
-    """On the fan's right edge, half of the disc; well outside, nothing; in the middle, all."""
+    """On the fan's right edge, half of the disc; in the middle, all; well outside it is told."""
     log = image_folder(tmp_path / "log", frames(2, 300, 560))
     small = coco(tmp_path, [point(9, 9)], ["frame0.png"])
     assert "another size" in failure(small, "--log", log)
@@ -193,12 +193,27 @@ def test_visible_is_limited_by_the_fan(tmp_path: Path) -> None:
     y = fan.apex_row - pixels_away * math.cos(edge)
     shapes = [point(a + 0.5, b + 0.5) for a, b in ((279.5, 150.0), (x, y), (x + 60, y))]
     source = coco(tmp_path, shapes, ["frame0.png"], (560, 300))
-    rows = sorted(converted(source, "--log", log), key=lambda row: row[2])
-    assert [row[4] for row in rows] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
+    rows = sorted(converted(source, "--log", log, code=3), key=lambda row: row[2])
+    assert [row[4] for row in rows] == pytest.approx([1.0, 0.5], abs=0.01)
     with (log / "sonar.toml").open("a") as file:
         file.write("flip = true\n")
-    mirrored = sorted(converted(source, "--log", log), reverse=True)
+    mirrored = sorted(converted(source, "--log", log, code=3), reverse=True)
     assert sorted(559 - row[2] for row in mirrored) == pytest.approx([row[2] for row in rows])
+
+
+@pytest.mark.parametrize("with_log", [False, True])
+def test_boxes_given_by_two_corners_are_told_and_left_out(tmp_path: Path, with_log: bool) -> None:
+    log = image_folder(tmp_path / "log", frames(2, 300, 560))
+    boxes = [[270, 140, 20, 20], [400, 180, 420, 200], [300, 200, 330, 230]]
+    source = coco(tmp_path, [BBOX | {"bbox": box} for box in boxes], ["frame0.png"], (560, 300))
+    out, given = tmp_path / "new.csv", ["--log", log] if with_log else []
+    told = sonarrec("truth", "convert", source, "-o", out, *given, code=3).stderr
+    assert "2 of 3" in told
+    assert "corners" in told
+    assert [float(row["x_px"]) for row in read_rows(out)] == pytest.approx([279.5])
+    # Of boxes alone that are outside nothing is written.
+    outside = coco(tmp_path, [BBOX | {"bbox": boxes[1]}], ["frame0.png"], (560, 300))
+    assert "corners" in failure(outside, *given)
 
 
 @settings(max_examples=30)
