@@ -32,10 +32,10 @@ from sonarrec.mapping.path import (
     read_frames,
 )
 from sonarrec.readers.poses import read_poses
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
 from sonarrec.results.run_file import RunFile, cut_short, read_run, tables_changed
 from sonarrec.results.sightings import check_follows
+from sonarrec.runs.recorded import outdated
 from sonarrec.sonar.geometry import PoseTable
 from sonarrec.sonar.stated import Sonar
 
