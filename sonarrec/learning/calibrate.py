@@ -39,6 +39,7 @@ from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
 
 LEAST_MET = 0.5  # of the positions have a track on them, if the truth is that of the log
+FEWEST_OF_ID = 20  # positions of an ID, on which no track is chance no longer
 CLEARLY = 0.5  # belief of the built-in reader in another ID than the truth's
 
 
@@ -216,13 +217,17 @@ def _doubts(
     if met.sum() < LEAST_MET * len(met):
         yield f"only {met.sum()} of {len(met)} positions have a track on them in the frames"
     read = Reader(built_in_weights(), rotated_codes(landmarks))(samples.pictures).probabilities
+    others = dict[int, int]()
     for k, name in enumerate(landmarks.ids):
         rows, own = landmark == k, samples.label == k
-        if rows.sum() >= FEWEST and not met[rows].any():
+        if rows.sum() >= FEWEST_OF_ID and not met[rows].any():
             yield f"none of {rows.sum()} positions of ID.{name} has a track on it in the frames"
         other = int(read[own, :-1].mean(axis=0).argmax()) if own.sum() >= FEWEST else k
         if other != k and read[own, other].mean() > CLEARLY:
-            yield f"ID.{name} is read as ID.{landmarks.ids[other]} in the frames"
+            others[name] = landmarks.ids[other]
+    if len({*others.values()}) > 1:  # a single ID may be confused with another
+        pairs = " and ".join(f"ID.{name} as ID.{other}" for name, other in others.items())
+        yield f"{pairs} is read in the frames"
 
 
 def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, BoolArray]:
