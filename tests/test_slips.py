@@ -164,3 +164,13 @@ def test_a_run_of_one_frame_has_no_hints_that_cannot_help() -> None:
 @pytest.mark.parametrize("text", ["two", "2.5", "4 cores"])
 def test_a_whole_number_is_asked_for_with_an_example(text: str) -> None:
     assert "such as 2" in refused("run", "x", "--jobs", text)
+
+
+def test_a_log_that_moved_is_told_by_the_report(here: Path) -> None:
+    shutil.move(here / "dive", here / "elsewhere")
+    told = sonarrec("report", "sonarrec_out/dive", code=3).stderr
+    assert "--log" in told
+    assert "--ground-truth" in told
+    given = ("--log", "elsewhere", "--ground-truth", "truth.csv")
+    # The truth is of the whole recording.
+    assert "click" in sonarrec("report", "sonarrec_out/dive", *given, code=3).stdout

@@ -31,6 +31,7 @@ LEAST_WIDTH_PX = 12
 """Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
 76, 48, 18 times and once."""
 LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long as a disc
+HALF_BEAM_DEG = 15.0  # in elevation; sonars of this kind have 6 to 10
 STEEP_TILT_DEG = 60.0  # of tilts that are assumed
 
 
@@ -95,7 +96,7 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
         suspects.insert(0, f"the poses {run.poses.name} (run once without them)")
     if "topic" in log.reading():
         suspects.insert(0, f"topic ({command_line('info', log.path)} has all)")
-    if _looks_like_a_fan(run.first):
+    if _narrows(run.first):
         again = _again(run, "--layout", "fan")
         suspects.insert(0, f"layout (the corners are empty, as those of a fan are: {again})")
     if inverted:
@@ -118,16 +119,16 @@ def _is_bright(run: PreparedRun) -> bool:
     return float(np.mean([pixels.mean() for pixels in levels])) > BRIGHT
 
 
-def _looks_like_a_fan(first: Sequence[Frame]) -> bool:
-    """Whether pictures that are read as polar narrow towards one end, where they are empty beside
-    the echoes."""
+def _narrows(first: Sequence[Frame]) -> bool:
+    """Whether pictures that are read as polar narrow towards one end, as those of a fan do: its
+    corners are empty."""
     if first[0].polar is None:
         return False
     picture = np.mean([frame.pixels for frame in first], axis=0)
     high, wide = (side // 8 for side in picture.shape)
     for end in (picture[:high], picture[-high:]):
-        beside = max(_echoes(end[:, :wide]), _echoes(end[:, -wide:]))
-        if beside < _OUTSIDE / 3 and _echoes(end[:, 3 * wide : -3 * wide]) > _FILLED:
+        corners = max(_echoes(end[:, :wide]), _echoes(end[:, -wide:]))
+        if corners < _OUTSIDE / 3 and _echoes(end[:, 3 * wide : -3 * wide]) > _FILLED:
             return True
     return False
 
@@ -215,7 +216,16 @@ def _hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
 
 
 def _steep(sonar: Sonar, tilt_deg: float) -> str | None:
-    """Why the height may be wrong from which tilt_deg follows; None if nothing is odd."""
+    """Why the stated height may be wrong, by the stated tilt or by that which follows from it; None
+    if nothing is odd."""
+    if sonar.tilt_deg is not None and sonar.height_m is not None and sonar.range_max_m is not None:
+        lowest_deg = min(max(sonar.tilt_deg + HALF_BEAM_DEG, 1.0), 90.0)
+        nearest_m = sonar.height_m / math.sin(math.radians(lowest_deg))
+        if nearest_m > sonar.range_max_m:
+            return (
+                f"height {sonar.height_m:g} m at a tilt of {sonar.tilt_deg:g} deg puts the floor "
+                f"beyond range_max_m = {sonar.range_max_m:g}; is the height in metres?"
+            )
     if sonar.tilt_deg is not None or sonar.height_m is None or tilt_deg <= STEEP_TILT_DEG:
         return None
     return (

@@ -237,7 +237,7 @@ def _where(logs: Sequence[ReportedLog]) -> tuple[dict[str, Path], list[str]]:
         except SonarrecError as error:
             if source.path is None or is_url(source.path):
                 continue  # no log was ever here
-            truth = "" if log.matched else " and --ground-truth, since the truth lies beside it"
+            truth = "" if log.matched else " and --ground-truth, for its gt.csv is not found either"
             missing.append(f"{log.folder}: {error}; no frame of it is shown; give --log{truth}")
     return paths, missing
 

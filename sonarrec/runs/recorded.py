@@ -70,7 +70,7 @@ def outdated(folders: Sequence[Path]) -> list[str]:
 
 
 def _changed_since(folder: Path, run: RunFile) -> str:
-    """Which file beside the log is newer than the results and states something else; empty: none.
+    """Which of the log's files is newer than the results and states something else; empty: none.
 
     Its age counts too: an option may have taken precedence over a file that is as it was.
     """

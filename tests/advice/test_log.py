@@ -164,7 +164,11 @@ def test_the_likeliest_suspect_leads(tmp_path: Path) -> None:
     assert "range order" not in poses
     fan = nothing_seen(log, *nothing, "--layout", "polar")
     assert "check layout" in fan
-    assert "layout" not in nothing_seen(SAMPLE / "polar" / "00000*.png", *nothing)
+    polar = tmp_path / "polar"
+    polar.mkdir()
+    for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(8))):
+        shutil.copy(SAMPLE / "polar" / name, polar)
+    assert "layout" not in nothing_seen(polar, *nothing)
     for file in log.glob("*.png"):
         cv2.imwrite(str(file), 255 - cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
     assert "inverted" in nothing_seen(log).partition("geometry")[0]

@@ -106,8 +106,8 @@ class Odometry:
             best = SHIFTS_S[self._differing == least]
             shift = best[np.abs(best).argmin()]
             diagnostics.note(
-                f"its rotations contradict those of the images in {differing} of {self._compared} "
-                f"frames, and in {least} if its times were {abs(shift):g} s "
-                f"{'later' if shift < 0 else 'earlier'}; is its clock that of the frames?",
+                f"its rotations contradict those of the images in {differing} frames, and in "
+                f"{least} if its times were {abs(shift):g} s {'later' if shift < 0 else 'earlier'};"
+                " is it the frames' clock?",
                 about=poses.name,
             )
