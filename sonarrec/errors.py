@@ -169,6 +169,8 @@ MAX_PROBLEM_LINES = 20
 """The most reasons for which frames could not be used; then a count."""
 
 
+MOST_FRAMES = 5
+"""The most frames skipped for one reason with a line of their own; else one line for all."""
 MOST_OF_A_KIND = 3
 """The most faults, equal but for numbers, with a line of their own; then a count."""
 
@@ -227,7 +229,7 @@ class Diagnostics:
         if reason not in self._skipped and len(self._skipped) == MAX_PROBLEM_LINES:
             return
         self._skipped_for[reason] += 1
-        if self._skipped_for[reason] <= MOST_OF_A_KIND:
+        if self._skipped_for[reason] <= MOST_FRAMES:
             self._skipped.setdefault(reason, []).append(printable(frame))
 
     def begin_pass(self) -> None:
@@ -257,7 +259,7 @@ class Diagnostics:
         of many reasons the first ones, then a count."""
         lines = list[str]()
         for why, (first, *others) in self._skipped.items():
-            if (count := self._skipped_for[why]) > MOST_OF_A_KIND:
+            if (count := self._skipped_for[why]) > MOST_FRAMES:
                 lines.append(f"{first} and {count - 1} more frames: {why}, skipped")
             else:
                 lines += [f"{frame}: {why}, skipped" for frame in (first, *others)]
