@@ -84,5 +84,5 @@ def _changed_since(folder: Path, run: RunFile) -> str:
             continue
         now, then = load(file).as_table(), used().as_table()
         if keys := [key for key in {**now, **then} if now.get(key) != then.get(key)]:
-            return f"{file} was changed after the run and has other {listed(keys, 3)}"
+            return f"of an older {file}, which was changed after the run in {listed(keys, 3)}"
     return ""

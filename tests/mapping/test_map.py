@@ -604,5 +604,5 @@ def test_the_report_shows_the_map(mapped: Path) -> None:
     assert f'src="data:image/png;base64,{picture}"' in page.read_text()
     for path in mapped.iterdir():
         path.unlink()
-    sonarrec("report", mapped.parent)
+    sonarrec("report", mapped.parent, code=3)
     assert "image/png" not in page.read_text()
