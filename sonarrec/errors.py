@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
@@ -184,9 +185,11 @@ def refuse_url(path: AnyPath) -> AnyPath:
 
 
 MAX_PROBLEM_LINES = 20
-"""The most frames that could not be used with a line of their own; then a count."""
+"""The most reasons for which frames could not be used; then a count."""
 
 
+MOST_FRAMES = 5
+"""The most frames skipped for one reason with a line of their own; else one line for all."""
 MOST_OF_A_KIND = 3
 """The most faults, equal but for numbers, with a line of their own; then a count."""
 
@@ -213,7 +216,9 @@ class Diagnostics:
         self._faults: dict[str, dict[str, None]] = {}  # the lines of each kind
         self.unusable = 0
         self._log = log
-        self._skipped: list[str] = []  # of this pass
+        # Of this pass, by the reason: the first frames, and how many.
+        self._skipped: dict[str, list[str]] = {}
+        self._skipped_for = Counter[str]()
         self._is_at_end = False  # whether this pass reached the end, so that faults are complete
         self._others: list[str] = []
 
@@ -239,13 +244,18 @@ class Diagnostics:
     def skip(self, frame: str, why: object) -> None:
         """Add a frame that could not be used, and why."""
         self.unusable += 1
-        if self.unusable <= MAX_PROBLEM_LINES:
-            self._skipped.append(printable(f"{frame}: {why}, skipped"))
+        reason = printable(why)
+        if reason not in self._skipped and len(self._skipped) == MAX_PROBLEM_LINES:
+            return
+        self._skipped_for[reason] += 1
+        if self._skipped_for[reason] <= MOST_FRAMES:
+            self._skipped.setdefault(reason, []).append(printable(frame))
 
     def begin_pass(self) -> None:
         """Drop the frames of an earlier pass."""
         self.unusable, self._is_at_end = 0, False
         self._skipped.clear()
+        self._skipped_for.clear()
 
     def end_pass(self) -> None:
         """All frames were read, to the end of the log."""
@@ -264,9 +274,16 @@ class Diagnostics:
 
     @property
     def skipped(self) -> list[str]:
-        """A line for each frame that could not be used, at most MAX_PROBLEM_LINES, then a count."""
-        more = self.unusable - MAX_PROBLEM_LINES
-        return [*self._skipped, *([f"{number_of(more, 'more frame')} skipped"] if more > 0 else [])]
+        """A line for each frame that could not be used, one for all of a reason if many have it;
+        of many reasons the first ones, then a count."""
+        lines = list[str]()
+        for why, (first, *others) in self._skipped.items():
+            if (count := self._skipped_for[why]) > MOST_FRAMES:
+                lines.append(f"{first} and {count - 1} more frames: {why}, skipped")
+            else:
+                lines += [f"{frame}: {why}, skipped" for frame in (first, *others)]
+        more = self.unusable - self._skipped_for.total()
+        return [*lines, *([f"{number_of(more, 'more frame')} skipped"] if more > 0 else [])]
 
     @property
     def problems(self) -> list[str]:

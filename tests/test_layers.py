@@ -33,22 +33,22 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1085,
-    "cli": 3121,
+    "advice": 1237,
+    "cli": 3172,
     "drawing": 696,
-    "evaluation": 3099,
-    "learning": 524,
-    "mapping": 1459,
-    "overlays": 633,
-    "readers": 6403,
-    "recogniser": 5716,
-    "reports": 2683,
-    "results": 1979,
-    "runs": 1611,
-    "simulation": 2614,
-    "sonar": 951,
-    "tables": 1083,
-    "truth": 1227,
+    "evaluation": 3123,
+    "learning": 555,
+    "mapping": 1460,
+    "overlays": 631,
+    "readers": 6428,
+    "recogniser": 5740,
+    "reports": 2687,
+    "results": 1961,
+    "runs": 1652,
+    "simulation": 2617,
+    "sonar": 963,
+    "tables": 1137,
+    "truth": 1266,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

@@ -248,3 +248,13 @@ def test_a_tolerance_larger_than_the_log_is_asked_for_in_its_unit(
     assert meant in sonarrec(*call, value, code=2).stderr
     assert not (tmp_path / "out").exists()
     sonarrec(*call, meant)
+
+
+def test_a_log_that_moved_is_told_by_the_report(here: Path) -> None:
+    shutil.move(here / "dive", here / "elsewhere")
+    told = sonarrec("report", "sonarrec_out/dive", code=3).stderr
+    assert "--log" in told
+    assert "--ground-truth" in told
+    given = ("--log", "elsewhere", "--ground-truth", "truth.csv")
+    # The truth is of the whole recording.
+    assert "click" in sonarrec("report", "sonarrec_out/dive", *given, code=3).stdout

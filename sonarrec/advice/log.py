@@ -13,6 +13,7 @@ from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
 from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
 from sonarrec.readers.log import MOST_HZ, Log
+from sonarrec.recogniser.restore.saturation import BRIGHT
 from sonarrec.results.run_file import rerun
 from sonarrec.runs.prepare import PreparedRun
 from sonarrec.sonar.frame import Fan, Frame
@@ -30,6 +31,7 @@ LEAST_WIDTH_PX = 12
 """Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
 76, 48, 18 times and once."""
 LEAST_GRAZING_DEG = 2.0  # below, a ripple of a centimetre has a shadow as long as a disc
+HALF_BEAM_DEG = 15.0  # in elevation; sonars of this kind have 6 to 10
 STEEP_TILT_DEG = 60.0  # of tilts that are assumed
 SOUND_M_S = 1600.0  # in the warmest and saltiest water
 
@@ -58,8 +60,8 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     elif not narrow and (other := run.recogniser.sizes.other()):
         yield Advice(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
-            f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m and the range "
-            f"window: {_preview(run)}"
+            f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m, the range window, "
+            f"and whether a margin lies round the picture: {_preview(run)}"
         )
     if run.poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
         yield Advice(
@@ -73,7 +75,8 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
         yield Advice(
             f"{static:.1%} of the picture never changes, and is filled from its neighbours"
         )
-    if saturated:
+    inverted = not has_sightings and _is_bright(run)
+    if saturated and not inverted:
         yield Advice(f"{saturated:.0%} of the frames {cause}")
     alone = len(run.first) == 1
     if log.untimed and not alone:
@@ -85,18 +88,57 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
         return
     # Nothing is recognised: what may be wrong, the likeliest first.
     wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
-    all_topics = f"topic ({command_line('info', log.path)} has all), "
-    topic = all_topics if "topic" in log.reading() else ""
+    suspects = [f"geometry ({_preview(run)})"]
+    if not _only_this_way_up(run.first):
+        again = _again(run, "--range-order", log.sonar.other_range_order)
+        suspects.insert(0, f"range order ({again})")
+    if run.poses is not None:
+        suspects.insert(0, f"the poses {run.poses.name} (run once without them)")
+    if "topic" in log.reading():
+        suspects.insert(0, f"topic ({command_line('info', log.path)} has all)")
+    if _narrows(run.first):
+        again = _again(run, "--layout", "fan")
+        suspects.insert(0, f"layout (the corners are empty, as those of a fan are: {again})")
+    if inverted:
+        how = "dark echoes on white; `mogrify -negate *.png` in a copy of them mends it"
+        suspects.insert(0, f"whether the pictures, which are bright, are inverted ({how})")
     scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
-    yield Advice(
-        f"no landmark declared; check {topic}range order "
-        f"({_again(run, '--range-order', log.sonar.other_range_order)}) and geometry "
-        f"({_preview(run)})"
-    )
+    yield Advice(f"no landmark declared; check {', '.join(suspects)}")
     yield Advice(
         f"then landmark set and size ({_landmarks(run)}; a landmark of "
         f"{landmarks.name} is {wide}) and level ({_again(run, '--pixel-scale', scale)})"
     )
+
+
+def _is_bright(run: PreparedRun) -> bool:
+    """Whether the first pictures are brighter in their fan than those of a sonar."""
+    levels = [
+        frame.pixels[fan_mask(run.fan) > 0] if frame.polar is None else frame.pixels
+        for frame in run.first
+    ]
+    return float(np.mean([pixels.mean() for pixels in levels])) > BRIGHT
+
+
+def _narrows(first: Sequence[Frame]) -> bool:
+    """Whether pictures that are read as polar narrow towards one end, as those of a fan do: its
+    corners are empty."""
+    if first[0].polar is None:
+        return False
+    picture = np.mean([frame.pixels for frame in first], axis=0)
+    high, wide = (side // 8 for side in picture.shape)
+    for end in (picture[:high], picture[-high:]):
+        corners = max(_echoes(end[:, :wide]), _echoes(end[:, -wide:]))
+        if corners < _OUTSIDE / 3 and _echoes(end[:, 3 * wide : -3 * wide]) > _FILLED:
+            return True
+    return False
+
+
+def _only_this_way_up(first: Sequence[Frame]) -> bool:
+    """Whether the echoes fill the stated fan, and would not if they were upside down."""
+    if first[0].polar is not None:
+        return False
+    outside, picture = fan_mask(first[0].fan) == 0, np.mean([f.pixels for f in first], axis=0)
+    return _echoes(picture[outside]) < _OUTSIDE / 3 and _echoes(picture[::-1][outside]) > _OUTSIDE
 
 
 def _of_one_frame(run: PreparedRun) -> str:
@@ -181,6 +223,13 @@ def _unlikely(sonar: Sonar, fan: Fan) -> Iterator[str]:
             f"height {height:g} m puts the sonar almost straight above the floor "
             f"(tilt {fan.tilt_deg:.0f} deg); is it in metres?"
         )
+    if height and tilt is not None:
+        lowest_deg = min(max(tilt + HALF_BEAM_DEG, 1.0), 90.0)
+        if height / math.sin(math.radians(lowest_deg)) > fan.range_max_m:
+            yield (
+                f"height {height:g} m at a tilt of {tilt:g} deg puts the floor beyond "
+                f"range_max_m = {fan.range_max_m:g}; is the height in metres?"
+            )
     axis_m = height / math.sin(math.radians(tilt)) if height and tilt else math.inf
     if axis_m < fan.range_min_m:
         yield (

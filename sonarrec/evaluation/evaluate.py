@@ -22,7 +22,6 @@ from sonarrec.evaluation.pairs import Pair, find_truths, usable_pairs
 from sonarrec.evaluation.rows import DEFAULT, Matched, ScoringOptions, match
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.results.folders import log_of
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     CountedOnce,
     LogResults,
@@ -35,6 +34,7 @@ from sonarrec.results.read import (
     why_incomplete,
 )
 from sonarrec.runs.logs_table import NAME, read_logs
+from sonarrec.runs.recorded import outdated
 from sonarrec.truth.check import misfit, report_other_logs, report_rows, without_rows
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import TruthTable, read_truth

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.advice.truth import outside, unchecked
+from sonarrec.advice.truth import FEWEST, outside, unchecked
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import (
@@ -37,6 +37,10 @@ from sonarrec.tables.outputs import MODEL_MARK
 from sonarrec.truth import check
 from sonarrec.truth.match import Truth, match_truth
 from sonarrec.truth.table import HEADER, TRUTH_FILE, TruthTable, read_truth
+
+LEAST_MET = 0.5  # of the positions have a track on them, if the truth is that of the log
+FEWEST_OF_ID = 20  # positions of an ID, on which no track is chance no longer
+CLEARLY = 0.5  # belief of the built-in reader in another ID than the truth's
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +192,10 @@ def _lesson(
         if proposed := unchecked(table, name):
             diagnostics.note(f"{proposed}; they teach what the program takes for true already")
         again = command_line("truth", "check", table.path, Path(log.path))
+        doubts = _doubts(landmarks, truth.landmark_index[shown], met[shown], samples)
+        diagnostics.problem(
+            *(f"{table.path}: {doubt} of {name}; is it its truth? ({again})" for doubt in doubts)
+        )
         diagnostics.advise(outside(table, tracks, truth, again))
         check.report_rows(diagnostics, name, truth.rows, truth.between)
         if truth.unprocessed:
@@ -197,6 +205,29 @@ def _lesson(
             )
     rows, frames = truth.rows + strangers.rows, len(tracks.frame)
     return _Lesson(name, samples, strange, frames, rows, np.array(labelled), misfit)
+
+
+def _doubts(
+    landmarks: LandmarkSet, landmark: IntArray, met: BoolArray, samples: Samples
+) -> Iterator[str]:
+    """Why a truth may not be that of the log, clauses.
+
+    landmark, met: (T,) of the positions at which something is seen; and whether a track lies there.
+    """
+    if met.sum() < LEAST_MET * len(met):
+        yield f"only {met.sum()} of {len(met)} positions have a track on them in the frames"
+    read = Reader(built_in_weights(), rotated_codes(landmarks))(samples.pictures).probabilities
+    others = dict[int, int]()
+    for k, name in enumerate(landmarks.ids):
+        rows, own = landmark == k, samples.label == k
+        if rows.sum() >= FEWEST_OF_ID and not met[rows].any():
+            yield f"none of {rows.sum()} positions of ID.{name} has a track on it in the frames"
+        other = int(read[own, :-1].mean(axis=0).argmax()) if own.sum() >= FEWEST else k
+        if other != k and read[own, other].mean() > CLEARLY:
+            others[name] = landmarks.ids[other]
+    if len({*others.values()}) > 1:  # a single ID may be confused with another
+        pairs = " and ".join(f"ID.{name} as ID.{other}" for name, other in others.items())
+        yield f"{pairs} is read in the frames"
 
 
 def _labelled(tracks: Tracks, truth: Truth, strangers: Truth) -> tuple[Samples, BoolArray]:

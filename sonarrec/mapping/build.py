@@ -32,10 +32,10 @@ from sonarrec.mapping.path import (
     read_frames,
 )
 from sonarrec.readers.poses import read_poses
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import CountedOnce, choose_method, find_logs, recording
 from sonarrec.results.run_file import RunFile, cut_short, read_run, tables_changed
 from sonarrec.results.sightings import check_follows
+from sonarrec.runs.recorded import outdated
 from sonarrec.sonar.geometry import PoseTable
 from sonarrec.sonar.stated import Sonar
 
@@ -174,7 +174,7 @@ def make_map(
             diagnostics.note(
                 f"landmarks {len(kept) + i + 1} and {len(kept) + k + 1} (ID.{clear[i].id}) "
                 f"overlap: passes {distance_m:.2f} m from each other, more than 5 sigma; was it "
-                "moved?"
+                f"moved{'' if alone else ', or is the clock of the poses another'}?"
             )
         left_out += len(found_there) - len(clear)
         kept += clear
@@ -211,6 +211,7 @@ def _read_log(
         times = frames["timestamp_ns"]
         paths = [path_from_poses(frames["frame"], times, frames["stretch"], poses, drift)]
         ros_axes = poses.axes == "ahead, left"
+        diagnostics.note(*poses.too_fast())
     fan = run.fan(sonar)
     if fan is None:
         raise SonarrecError(f"{folder}: no geometry in run.toml; give it with --sonar")

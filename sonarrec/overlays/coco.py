@@ -11,10 +11,9 @@ from sonarrec.drawing.results import outline_of
 from sonarrec.errors import Diagnostics, SonarrecError
 from sonarrec.readers import open_log
 from sonarrec.results.folders import log_of
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import choose_method, find_logs, read_estimates, read_frames
 from sonarrec.results.run_file import LogOptions, cut_short, read_run, tables_changed
-from sonarrec.runs.recorded import recorded_at
+from sonarrec.runs.recorded import outdated, recorded_at
 from sonarrec.sonar.frame import follows
 from sonarrec.truth.coco import ImageObject, Pictures, pictures_of, write_coco
 from sonarrec.truth.table import TRACKED

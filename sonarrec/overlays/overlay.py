@@ -34,7 +34,6 @@ from sonarrec.readers.decode.pixels import warnings_file, warnings_to
 from sonarrec.readers.log import Log
 from sonarrec.readers.open import Source, find_log
 from sonarrec.results.folders import part_of, possible_names, rerun_left
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     check_same_log,
     choose_method,
@@ -50,7 +49,7 @@ from sonarrec.results.run_file import (
     span_text,
     tables_changed,
 )
-from sonarrec.runs.recorded import recorded_at
+from sonarrec.runs.recorded import outdated, recorded_at
 from sonarrec.sonar.frame import Estimate, Fan, Frame
 from sonarrec.sonar.stated import Sonar, sonar_from
 from sonarrec.tables.outputs import (

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sonarrec.advice.results import of_results
-from sonarrec.errors import Diagnostics, SonarrecError, UsageError, number_of, refuse_url
+from sonarrec.errors import Diagnostics, SonarrecError, UsageError, is_url, number_of, refuse_url
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.pairs import find_truths
 from sonarrec.evaluation.rows import ScoringOptions, scoring_options
@@ -27,10 +27,9 @@ from sonarrec.reports.logs import (
 )
 from sonarrec.reports.overview import NO_TRUTH, SharedMistake, all_logs, shared, worst_first
 from sonarrec.reports.page import MOST_MISTAKES, render
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import find_logs, why_incomplete
 from sonarrec.results.run_file import read_run
-from sonarrec.runs.recorded import recorded_at
+from sonarrec.runs.recorded import outdated, recorded_at
 from sonarrec.sonar.stated import Sonar
 from sonarrec.tables.outputs import below, check_output, write_page
 from sonarrec.truth.table import read_truth
@@ -202,15 +201,13 @@ def _draw_all(
     sonar: Sonar,
     topic: str | None,
 ) -> tuple[list[Picture], list[Shown], list[str]]:
-    """Pictures and frames of the logs' recordings; a line for each that was given and not found.
+    """Pictures and frames of the logs' recordings; a line for each that was not found.
 
     recordings: those given, else they are looked for where they were; and the results of all logs,
     also of those without panels.
     """
     given, folders = recordings
-    sources, missing = (
-        frames.match_recordings(logs, given, folders) if given else (_where(logs), [])
-    )
+    sources, missing = frames.match_recordings(logs, given, folders) if given else _where(logs)
     recorded = [log for log in logs if log.name in sources]
     passes = [s for log in recorded for s in judged_sightings(log)]
     pictures = [*_of_sightings(passes)]
@@ -229,13 +226,20 @@ def _draw_all(
     return pictures, shown, missing
 
 
-def _where(logs: Sequence[ReportedLog]) -> dict[str, Path]:
-    """The recordings that results were made from, those that are there, by the log's name."""
-    paths = {}
+def _where(logs: Sequence[ReportedLog]) -> tuple[dict[str, Path], list[str]]:
+    """The recordings that results were made from, by the log's name; a line for each that is not
+    there any more."""
+    paths, missing = dict[str, Path](), list[str]()
     for log in logs:
-        with suppress(SonarrecError):
-            paths[log.name] = Path(recorded_at(log.folder, log.results.run.input).path)
-    return paths
+        source = log.results.run.input
+        try:
+            paths[log.name] = Path(recorded_at(log.folder, source).path)
+        except SonarrecError as error:
+            if source.path is None or is_url(source.path):
+                continue  # no log was ever here
+            truth = "" if log.matched else " and --ground-truth, for its gt.csv is not found either"
+            missing.append(f"{log.folder}: {error}; no frame of it is shown; give --log{truth}")
+    return paths, missing
 
 
 def _named_frames(

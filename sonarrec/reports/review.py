@@ -41,7 +41,6 @@ from sonarrec.reports.glyphs import glyph
 from sonarrec.reports.template import fill
 from sonarrec.results.columns import leading
 from sonarrec.results.folders import possible_names
-from sonarrec.results.identity import outdated
 from sonarrec.results.read import (
     LogResults,
     check_same_log,
@@ -51,6 +50,7 @@ from sonarrec.results.read import (
     why_incomplete,
 )
 from sonarrec.results.run_file import LogOptions
+from sonarrec.runs.recorded import outdated
 from sonarrec.sonar.frame import Frame
 from sonarrec.sonar.geometry import floor_depth, ground_range, plane_from_polar, polar_from_pixel
 from sonarrec.tables.outputs import check_output, write_page

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from sonarrec import __version__
-from sonarrec.errors import SonarrecError, number_of
-from sonarrec.results.folders import is_file
-from sonarrec.tables.toml import read_toml
 
 RESULTS_VERSION = 5
 """Kept by hand: one more with every change after which a log may give other tables, be it in how
@@ -69,17 +65,3 @@ def why_outdated(run: Mapping[str, Any]) -> str:
     if program.get("settings_sha256") != now["settings_sha256"]:
         return "the settings in run.toml were changed after the run"
     return ""
-
-
-def outdated(folders: Sequence[Path]) -> list[str]:
-    """A line if this program may not give the results in some of these folders again."""
-    changed = []
-    for folder in folders:
-        with suppress(SonarrecError):  # reported where its tables are read
-            if is_file(path := folder / "run.toml") and (why := why_outdated(read_toml(path))):
-                changed.append((folder, why))
-    if not changed:
-        return []
-    (first, why), *more = changed
-    others = f" and {number_of(len(more), 'more folder')}" if more else ""
-    return [f"{first}{others}: {why}; `sonarrec run` of the log replaces them"]

@@ -85,7 +85,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
         recogniser = SideBySide(
             configs, first.fan, landmarks, None if model is None else model.weights, poses
         )
-        log.diagnostics.note(*about_beams)
+        log.diagnostics.note(*about_beams, *([] if poses is None else poses.too_fast()))
         _check_folder(job, source)
         table = run_table(
             configs,

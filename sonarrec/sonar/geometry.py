@@ -349,6 +349,7 @@ def points_on_disc(radius_m: float, count: int) -> tuple[FloatArray, FloatArray]
     return distance * np.cos(angle), distance * np.sin(angle)
 
 
+FASTEST_M_S = 5.0  # of vehicles that see landmarks
 POSE_GAP = 10
 """There is no pose in a gap between rows that is longer than this many usual steps."""
 
@@ -415,6 +416,17 @@ class PoseTable:
         cos, sin = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
         right, ahead = x + right_m * cos + ahead_m * sin, y - right_m * sin + ahead_m * cos
         return (ahead, -right) if self.axes == "ahead, left" else (right, ahead)
+
+    def too_fast(self) -> list[str]:
+        """A note if the sonar moves faster than one can that sees landmarks; else none. Speeds are
+        taken over a second or more, in which noise is little."""
+        rows = min(max(1, round(1e9 / np.median(np.diff(self.time_ns)))), len(self.time_ns) - 1)
+        distance_m = np.linalg.norm(self.pose[rows:, 1:] - self.pose[:-rows, 1:], axis=1)
+        speed = np.median(distance_m / (self.time_ns[rows:] - self.time_ns[:-rows])) * 1e9
+        asked = "too fast for a sonar; are x and y in metres, and the times right?"
+        if speed <= FASTEST_M_S:
+            return []
+        return [f"{self.name}: its poses move at {speed:.3g} m/s, {asked}"]
 
     def _pose_at(self, time_ns: int) -> FloatArray | None:
         """(3,) the pose at a time; None if not known."""

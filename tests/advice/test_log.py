@@ -145,6 +145,35 @@ def test_what_to_check_where_nothing_is_recognised_is_told_last(tmp_path: Path) 
     assert "fit clearly better" not in told
 
 
+def nothing_seen(folder: Path, *words: str | Path) -> str:
+    """The first suspects of a run in which no landmark is declared."""
+    told = sonarrec("run", folder, "-o", folder.parent / "out", "-q", *words).stderr
+    (line,) = [line for line in told.splitlines() if "no landmark declared" in line]
+    return line
+
+
+def test_the_likeliest_suspect_leads(tmp_path: Path) -> None:
+    log = sample_log(tmp_path / "log", 8)
+    # The echoes fill the fan only this way up: its range order is no suspect.
+    (tmp_path / "poses.csv").write_text(
+        "timestamp,yaw,x,y\n" + "".join(f"{n},0,{9 * n},0\n" for n in range(9))
+    )
+    nothing = ("--set", "features.declare=1")
+    poses = nothing_seen(log, *nothing, "--odometry", tmp_path / "poses.csv")
+    assert "check the poses poses.csv" in poses
+    assert "range order" not in poses
+    fan = nothing_seen(log, *nothing, "--layout", "polar")
+    assert "check layout" in fan
+    polar = tmp_path / "polar"
+    polar.mkdir()
+    for name in ("sonar.toml", *(f"{n:06d}.png" for n in range(8))):
+        shutil.copy(SAMPLE / "polar" / name, polar)
+    assert "layout" not in nothing_seen(polar, *nothing)
+    for file in log.glob("*.png"):
+        cv2.imwrite(str(file), 255 - cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+    assert "inverted" in nothing_seen(log).partition("geometry")[0]
+
+
 def test_a_height_that_cannot_be_in_metres_is_doubted(tmp_path: Path) -> None:
     log = sample_log(tmp_path / "log", 3)
     for tilt, told in (("", True), ("tilt_deg = 20.0\n", False)):

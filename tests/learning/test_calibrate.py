@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -206,3 +207,25 @@ def test_a_model_without_use_is_refused(tmp_path):
     fault = sonarrec(*paper, "--model", model, code=2).stderr
     assert "--model" in fault
     assert fault.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({}, ""),
+        ({"bearing_deg": lambda r: str(-float(r["bearing_deg"]))}, "positions have a track"),
+        ({"landmark": lambda r: {"1": "3", "3": "1"}[r["landmark"]]}, "ID.1 as ID.3"),
+        ({"landmark": lambda _: "2"}, ""),  # one ID may be confused, and this is one
+    ],
+)
+def test_a_truth_that_the_log_does_not_show_is_doubted(tmp_path, change, told):
+    rows = sample_rows(64)
+    write_rows(
+        tmp_path / "gt.csv",
+        [{k: change.get(k, itemgetter(k))(r) for k in HEAD.split(",")} for r in rows],
+    )
+    log = sample_log(tmp_path / "pan", 64)
+    arguments = ("--ground-truth", tmp_path / "gt.csv", "-o", tmp_path / "m.toml")
+    doubts = sonarrec("calibrate", log, *arguments, code=3 if told else 0).stderr
+    assert told in doubts
+    assert ("is it its truth" in doubts) == bool(told)

@@ -23,7 +23,7 @@ from sonarrec.simulation.motion import poses
 from sonarrec.simulation.scene import load_scene
 from sonarrec.sonar.frame import Motion
 from sonarrec.sonar.geometry import PoseTable, pose_table
-from tests.support.command import sample_log, sonarrec
+from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.drawn import make_fan
 from tests.support.logs import cdr_compressed_image
 from tests.support.messages import serialised
@@ -158,6 +158,33 @@ def test_frames_without_a_pose_are_told_once(pings):
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
     assert "note: odd.csv" in told.stderr
+
+
+@pytest.mark.parametrize("late_s", [-2.0, 0.0, 2.0])
+def test_another_clock_of_the_poses_is_named(tmp_path, late_s):
+    """Frames 44 to 84 hold a turn of the sonar."""
+    header, *lines = pan_table(tmp_path / "late.csv", 128).read_text().split()
+    rows = [line.split(",") for line in lines]
+    shifted = [f"{float(time) + late_s},{yaw}" for time, yaw in rows]
+    (tmp_path / "late.csv").write_text("\n".join([header, *shifted]) + "\n")
+    words = ("--frames", "44:84", "--odometry", tmp_path / "late.csv", "-o", tmp_path, "-q")
+    told = sonarrec("run", SAMPLE, *words).stderr
+    assert ("note: late.csv" in told) == bool(late_s)
+    if late_s:
+        assert f"{abs(late_s):g} s {'earlier' if late_s > 0 else 'later'}" in told
+
+
+@pytest.mark.parametrize(("unit", "is_told"), [(1, False), (1000, True)])
+def test_poses_of_an_impossible_speed_are_told(pings, unit, is_told):
+    """.2 m a second, with a jitter of 2 cm at 20 rows a second."""
+    jitter = 0.02 * (-1) ** np.arange(100)
+    rows = [f"{n / 20},{n / 40},{unit * (n / 100 + jitter[n])},0" for n in range(100)]
+    Path("fast.csv").write_text("\n".join(["timestamp,yaw,x,y", *rows]) + "\n")
+    table = read_poses(Path("fast.csv"))
+    assert bool(table.too_fast()) == is_told
+    for words in (("run", pings), ("map", "sonarrec_out/pings")):
+        told = sonarrec(*words, "--odometry", "fast.csv", "-q").stderr
+        assert ("m/s" in told) == is_told
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sonarrec.errors import MAX_PROBLEM_LINES, SonarrecError, UsageError
+from sonarrec.errors import MAX_PROBLEM_LINES, Diagnostics, SonarrecError, UsageError
 from sonarrec.readers import open_log
 from sonarrec.readers.info import describe
 from sonarrec.sonar.geometry import PolarToFan
@@ -344,8 +344,13 @@ def test_problem_lines_are_few(tmp_path: Path) -> None:
         (log / f"frame{k + 1}.png").write_bytes(b"x")
     found, problems, _ = read(log)
     assert len(found) == 1
-    assert len(problems) == MAX_PROBLEM_LINES + 1
-    assert "80 more frames" in problems[-1]
+    assert len(problems) == 1
+    assert "99 more frames" in problems[0]
+    diagnostics = Diagnostics()
+    for k in range(100):
+        diagnostics.skip(f"frame {k}", f"another fault, {k}")
+    assert len(diagnostics.skipped) == MAX_PROBLEM_LINES + 1
+    assert "80 more frames" in diagnostics.skipped[-1]
 
 
 def test_decoders_are_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

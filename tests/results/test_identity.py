@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
+import shutil
 import zlib
 from pathlib import Path
 
@@ -13,9 +15,9 @@ from click.testing import CliRunner
 from sonarrec import __version__
 from sonarrec.cli import main
 from sonarrec.readers import open_log
-from sonarrec.results import identity
 from sonarrec.results.identity import RESULTS_VERSION
 from sonarrec.results.run_file import read_run
+from sonarrec.runs.recorded import outdated
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 
@@ -79,20 +81,49 @@ def test_another_model_and_edited_settings_are_told(results: Path, key: str) -> 
     file = results / "run.toml"
     lines = file.read_text().splitlines()
     file.write_text("\n".join(f"{key} = 7" if x.startswith(f"{key} =") else x for x in lines))
-    (line,) = identity.outdated([results, results])
+    (line,) = outdated([results, results])
     assert "1 more" in line
 
 
 def test_results_of_a_version_in_development_are_outdated(results: Path) -> None:
-    assert identity.outdated([results]) == []
+    assert outdated([results]) == []
     text = (results / "run.toml").read_text()
     (results / "run.toml").write_text(text.replace(f'"{__version__}"', f'"{__version__}.dev0"'))
-    assert len(identity.outdated([results])) == 1
+    assert len(outdated([results])) == 1
 
 
 def test_results_of_another_program_are_not_outdated(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text('[program]\nname = "theirs"\n')
-    assert identity.outdated([tmp_path, tmp_path / "without"]) == []
+    assert outdated([tmp_path, tmp_path / "without"]) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "told"),
+    [
+        ("sonar.toml", "", "# checked\n", ""),
+        ("sonar.toml", "tilt_deg = 20.0", "tilt_deg = 25.0", "tilt_deg"),
+        ("sonar.toml", "height_m = 0.68\n", "", "height_m"),
+        ("landmarks.toml", "", "", ""),
+        ("landmarks.toml", "radius_m = 0.15", "radius_m = 0.16", "radius_m"),
+    ],
+)
+def test_a_file_beside_the_log_that_changed_since_is_told(
+    results: Path, name: str, old: str, new: str, told: str
+) -> None:
+    file = results.parents[1] / "pan" / name
+    if name == "landmarks.toml":
+        shutil.copy(SAMPLES.parent / "sonarrec" / "landmark_sets" / "basin.toml", file)
+    text = file.read_text()
+    file.write_text(text.replace(old, new, 1) if old else new + text)
+    assert (text != file.read_text()) == bool(old or new)
+    made = (results / "run.toml").stat().st_mtime_ns
+    os.utime(file, ns=(made, made))
+    assert outdated([results]) == [], "as old as the results: an option may have replaced it"
+    os.utime(file, ns=(made, made + 10**9))
+    for words in (("map", results), ("evaluate", results, "--ground-truth", SAMPLE / "gt.csv")):
+        lines = [line for line in output(*words).splitlines() if "changed after the run" in line]
+        assert len(lines) == bool(told)
+        assert all(told in line and name in line for line in lines)
 
 
 def test_a_log_digested_another_way_is_changed(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sonarrec.arrays import ByteImage
 from sonarrec.config import Continuity
 from sonarrec.errors import Diagnostics
@@ -14,6 +16,10 @@ from sonarrec.sonar.geometry import PoseTable
 # note doubts the table if at least LEAST_COMPARED were compared and most of them contradict.
 LEAST_PAN_DEG = 0.3
 LEAST_COMPARED = 10
+# Of shifted clocks one is named if it mends at least LEAST_MENDED frames, and MENDED of those that
+# contradict.
+SHIFTS_S = np.arange(-20, 21) / 4
+LEAST_MENDED, MENDED = 5, 0.75
 
 
 class Odometry:
@@ -24,10 +30,11 @@ class Odometry:
         self._poses = poses
         self._before_ns: int | None = None
         self._begins = True  # whether the next image is the first of its stretch
-        # To check the table: the frames' first and last time, how many frames have no pose, and in
-        # how many the images show a pan, and another one.
+        # To check the table: the frames' first and last time, how many frames have no pose, in how
+        # many the images show a pan, and in how many another one, by each clock.
         self._span: tuple[int, int] | None = None
-        self._frames = self._without_pose = self._compared = self._differing = 0
+        self._frames = self._without_pose = self._compared = 0
+        self._differing = np.zeros(len(SHIFTS_S), np.int64)
 
     def begin_stretch(self) -> None:
         """No image before the next one is compared with it; poses may give its motion."""
@@ -58,7 +65,12 @@ class Odometry:
             larger = max(abs(by_poses.pan_deg), abs(pan_deg))
             if match >= MIN_MATCH and larger >= LEAST_PAN_DEG:
                 self._compared += 1
-                self._differing += abs(by_poses.pan_deg - pan_deg) > 0.5 * larger
+                assert self._poses is not None
+                assert before is not None
+                clocks = np.rint(SHIFTS_S * 1e9).astype(np.int64)
+                then, now = (self._poses.poses_at(t + clocks)[:, 0] for t in (before, timestamp_ns))
+                larger_of_each = np.maximum(np.abs(now - then), abs(pan_deg))
+                self._differing += ~(np.abs(now - then - pan_deg) <= 0.5 * larger_of_each)
             return by_poses
         seconds = None if begins or before is None else (timestamp_ns - before) / 1e9
         return self._images.step(image, seconds)
@@ -78,12 +90,24 @@ class Odometry:
                 f"{poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
                 f"covers {covered}, and the frames are from {log}"
             )
-        if self._compared >= LEAST_COMPARED and self._differing > self._compared / 2:
+        differing = int(self._differing[SHIFTS_S == 0][0])
+        least = int(self._differing.min())
+        mended = differing - least
+        if self._compared >= LEAST_COMPARED and differing > self._compared / 2:
             yaw = "yaw is in degrees, positive to the right"
             if poses.axes == "ahead, left":
                 yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
             diagnostics.note(
-                f"its rotations contradict those of the images in {self._differing} of "
+                f"its rotations contradict those of the images in {differing} of "
                 f"{self._compared} frames; {yaw}, and times must be by the frames' clock",
+                about=poses.name,
+            )
+        elif mended >= max(LEAST_MENDED, MENDED * differing):
+            best = SHIFTS_S[self._differing == least]
+            shift = best[np.abs(best).argmin()]
+            diagnostics.note(
+                f"its rotations contradict those of the images in {differing} frames, and in "
+                f"{least} if its times were {abs(shift):g} s {'later' if shift < 0 else 'earlier'};"
+                " is it the frames' clock?",
                 about=poses.name,
             )
