@@ -47,7 +47,7 @@ MOST_LINES = {
     "runs": 1652,
     "simulation": 2617,
     "sonar": 963,
-    "tables": 1137,
+    "tables": 1136,
     "truth": 1266,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's

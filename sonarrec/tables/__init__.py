@@ -51,7 +51,6 @@ _SOMETHING_ELSE = {
     b"\x28\xb5\x2f\xfd": "compressed; unpack it",
     b"<!doctype html": "a web page; download the file again",
 }
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def something_else(head: bytes) -> str | None:
@@ -81,7 +80,7 @@ def not_text(head: bytes, wanted: str) -> str | None:
     TOML file"."""
     if what := something_else(head):
         return what
-    kind = kind_of(head) or ("binary" if b"\0" in head and head[:2] not in _UTF_16 else None)
+    kind = kind_of(head)
     return kind and f"not {wanted} but a file of another kind ({kind}); give {wanted} here"
 
 
