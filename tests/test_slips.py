@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, plain_number
 from sonarrec.tables.toml import parse_toml
 from tests.support.command import SAMPLE, sample_log, sonarrec
+from tests.support.rows import read_rows, write_rows
 
 
 @pytest.fixture(scope="module")
@@ -258,3 +261,26 @@ def test_a_log_that_moved_is_told_by_the_report(here: Path) -> None:
     given = ("--log", "elsewhere", "--ground-truth", "truth.csv")
     # The truth is of the whole recording.
     assert "click" in sonarrec("report", "sonarrec_out/dive", *given, code=3).stdout
+
+
+@pytest.mark.parametrize(
+    ("column", "slip", "meant"),
+    [
+        ("range_m", lambda range_m: (range_m**2 - 0.68**2) ** 0.5, "slant range"),
+        ("orientation_deg", math.radians, "in degrees"),
+        ("range_m", float, None),
+    ],
+)
+def test_a_truth_that_is_off_throughout_is_told(
+    column: str, slip: Callable[[float], float], meant: str | None, tmp_path: Path
+) -> None:
+    header = ["frame", "landmark", "range_m", "bearing_deg", "visible", "orientation_deg"]
+    rows = [{k: row[k] for k in header} for row in read_rows(SAMPLE / "gt.csv")]
+    for row in rows:
+        row[column] = str(slip(float(row[column])))
+    write_rows(tmp_path / "truth.csv", rows)
+    results = SAMPLE.parent / "regression" / "pan"
+    call = "evaluate", results, "--ground-truth", tmp_path / "truth.csv", "-q"
+    told = sonarrec(*call, "-o", tmp_path / "out").stderr
+    assert ("claims on them" in told) == bool(meant)
+    assert (meant or "") in told

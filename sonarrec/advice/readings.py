@@ -18,7 +18,7 @@ import numpy as np
 from sonarrec.advice.truth import FEWEST
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import Advice, number_of
-from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs
+from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs, judge
 from sonarrec.results.read import LogResults
 from sonarrec.sonar.geometry import (
     pixel_from_plane,
@@ -41,6 +41,7 @@ LEAST_SCALE = 0.1  # with less, claims hardly depend on rows
 LEAST_SPREAD = 0.05  # m or deg, of values that show a scale
 FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
 FEWEST_CLAIMS = 20  # of which a few right ones may be chance
+MOST_ROTATION_DEG = 20.0  # by which right claims differ, in the median
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
@@ -73,6 +74,9 @@ def of_claims(
         elif not options.labelled_only:
             lines = [f"its rows for {log.name} {how}" for how in _without_rows(matched, claims)]
     yield from (Advice(f"{table.path}: {line}", grave=True) for line in lines)
+    if matched.placed and not lines:
+        for how in _off(matched, log):
+            yield Advice(f"{table.path}: its rows for {log.name} {how}")
 
 
 class _Points(NamedTuple):
@@ -397,6 +401,32 @@ def _shift(frames: int, log: LogResults) -> str:
         step_s = float(np.median(np.diff(np.sort(log.timestamp_ns)))) / 1e9
         text += f" ({abs(frames) * step_s:.3g} s)"
     return text
+
+
+def _off(matched: Matched, log: LogResults) -> Iterator[str]:
+    """What is said if the claims that are right all lie as far off in range or orientation."""
+    right = judge(matched, "strict")
+    right = right[right["declared"] & (right["method"] == 0) & (right["truth"] >= 0)]
+    claims, truths = matched.claims[right["claim"]], matched.truths[right["truth"]]
+    range_m, stated_m = (np.hypot(points["x"], points["y"]) for points in (claims, truths))
+    if len(right) < FEWEST:
+        return
+    off_m = float(np.median(range_m - stated_m))
+    spread_m = float(np.median(np.abs(range_m - stated_m - off_m)))
+    if abs(off_m) > log.landmarks.radius_m / 2 and spread_m < abs(off_m) / 4:
+        nearer = "nearer" if off_m > 0 else "farther"
+        yield (
+            f"lie {abs(off_m):.2f} m {nearer} in range than the claims on them, throughout; "
+            "range_m is the slant range to a landmark's middle, not that along the floor"
+        )
+    period = np.array([matched.period_deg[i] for i in right["landmark"].tolist()], dtype=float)
+    rotation = (claims["orientation"] - truths["orientation"] + period / 2) % period - period / 2
+    rotation = np.abs(rotation[np.isfinite(rotation)])
+    if len(rotation) >= FEWEST and (median := float(np.median(rotation))) > MOST_ROTATION_DEG:
+        yield (
+            f"have orientations that differ by {median:.0f} deg, in the median, from those of the "
+            "claims on them; orientation_deg is in degrees, counter-clockwise from the right"
+        )
 
 
 def _without_rows(matched: Matched, claims: Table) -> Iterator[str]:
