@@ -284,3 +284,20 @@ def test_a_truth_that_is_off_throughout_is_told(
     told = sonarrec(*call, "-o", tmp_path / "out").stderr
     assert ("claims on them" in told) == bool(meant)
     assert (meant or "") in told
+
+
+def test_logs_that_failed_are_named_where_others_are_scored(tmp_path: Path) -> None:
+    sample_log(tmp_path / "good", 4)
+    (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n")
+    sonarrec("run", tmp_path / "good", tmp_path / "bad.mcap", "-q", "-o", tmp_path / "out", code=3)
+    call = "evaluate", tmp_path / "out", "--ground-truth", SAMPLE / "gt.csv", "-q"
+    assert "1 log failed: bad" in sonarrec(*call, code=3).stderr
+
+
+def test_rates_of_each_log_are_printed_where_details_are_asked_for(tmp_path: Path) -> None:
+    for name in ("pan", "faint", "polar"):
+        shutil.copy(SAMPLE.parent / name / "gt.csv", tmp_path / f"{name}.gt.csv")
+    call = "evaluate", SAMPLE.parent / "regression", "--ground-truth", tmp_path
+    call = *call, "-o", tmp_path / "out"
+    assert "per log" not in sonarrec(*call).stdout
+    assert "per log" in sonarrec(*call, "-v").stdout
