@@ -80,14 +80,16 @@ def outside(table: TruthTable, log: ReadLog, truth: Truth, check: str = "") -> I
     truth: as matched to the log. check: the command that checks the truth of this log.
     """
     text = f"lie outside the image of {log.name}"
-    yield from _positions(table, log, truth, outside_of_log(log, truth), text, check)
+    wrong = outside_of_log(log, truth)
+    grave = bool(np.sum(wrong) > MOST_OUTSIDE * len(wrong))
+    yield from _positions(table, log, truth, wrong, text, check, grave)
 
 
 def counted_as_missed(
     table: TruthTable, log: ReadLog, truth: Truth, min_visible: float, check: str = ""
 ) -> Iterator[Advice]:
     """Whether rows count as missed without need: the image's edge cuts their discs but `visible`
-    counts, or they lie on another row; grave if many do.
+    counts (1 where it is not stated), or they lie on another row.
 
     truth, check: as in `outside`, which tells of discs that lie there. min_visible: from which
     share in view a landmark counts.
@@ -116,7 +118,13 @@ def counted_as_missed(
 
 
 def _positions(
-    table: TruthTable, log: ReadLog, truth: Truth, wrong: BoolArray, text: str, check: str
+    table: TruthTable,
+    log: ReadLog,
+    truth: Truth,
+    wrong: BoolArray,
+    text: str,
+    check: str,
+    grave: bool = False,
 ) -> Iterator[Advice]:
     """How many positions are (T,) wrong, and where; if any is."""
     if wrong.any():
@@ -125,7 +133,7 @@ def _positions(
         how = f"; {check} has their lines" if check else ""
         yield Advice(
             f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions {text}, in {where}{how}",
-            grave=bool(wrong.mean() > MOST_OUTSIDE),
+            grave=grave,
         )
 
 
