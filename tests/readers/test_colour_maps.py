@@ -184,3 +184,9 @@ def test_what_is_stated_wins(tmp_path: Path) -> None:
     sonarrec("run", log, "--frames", "0:2", "-o", tmp_path / "again")
     run = tomllib.loads((tmp_path / "again" / "pan" / "run.toml").read_text())
     assert run["input"]["colour_map"] == run["sonar"]["colour_map"] == "viridis"
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_black_round_a_fan_is_no_echo_whatever_the_map_begins_with(name: str) -> None:
+    black = np.zeros((2, 3, 3), np.uint8)
+    assert (map_levels(black, name) == 0).all()
