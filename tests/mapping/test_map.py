@@ -31,7 +31,13 @@ from sonarrec.mapping.landmarks import (
     _mean_orientation,
     ellipse,
 )
-from sonarrec.mapping.path import COMMON_LENGTH, Drift, measured_path, path_from_poses
+from sonarrec.mapping.path import (
+    COMMON_LENGTH,
+    COMMON_ROTATION,
+    Drift,
+    measured_path,
+    path_from_poses,
+)
 from sonarrec.mapping.picture import _drawing, draw_map
 from sonarrec.readers.poses import read_poses
 from sonarrec.results.run_file import run_table
@@ -638,3 +644,17 @@ def test_the_map_draws_symbols_as_they_lie() -> None:
     assert ring.r == pytest.approx(BASIN.radius_m * BASIN.ring[1])
     assert len(_drawing(BASIN, 0, np.array([2.0, 3.0]), math.nan)[1]) == 1
     assert dark[0].r == BASIN.radius_m
+
+
+def test_a_common_error_of_rotations_turns_what_is_seen_about_the_sonar() -> None:
+    """A sonar that stands and pans by 4 x 3 deg, each by a share too much."""
+    frames = np.arange(5)
+    moved = np.column_stack([np.full(5, 3.0), np.zeros((5, 2))])
+    path = measured_path(frames, frames, 0 * frames, moved, np.zeros((5, 3)))
+    position = np.array([[0.7, 2.1], [-1.2, 1.5]])
+    angle = COMMON_ROTATION * np.radians([12.0, 6.0])
+    off = angle[:, None] * position[:, ::-1] * (1, -1)
+    found = path.position_covariance(np.array([4, 2]), position)
+    assert found == pytest.approx(off[:, :, None] * off[:, None])
+    since = path.position_covariance(np.array([4, 4]), position, np.array([4, 0]))
+    assert since == pytest.approx(np.stack([np.zeros((2, 2)), 4 * found[1]]))

@@ -85,7 +85,7 @@ def point(x: float, y: float) -> dict[str, Any]:
 
 def test_centres_and_visibility(tmp_path: Path) -> None:
     """Of a box, of a polygon's area wherever its points crowd, of the only labelled keypoint."""
-    square = [10, 10, 12, 10, 13, 10, 14, 10, 20, 10, 20, 20, 10, 20]
+    square = [10, 10, 12, 10, 13, 10, 14, 10, 20, 10, 20, 20, 10, 20, 99]  # one half of a point
     annotations = [
         BBOX | {"iscrowd": 0},
         {"image_id": 8, "category_id": 1, "bbox": [0, 0, 1, 1], "segmentation": [square]},
