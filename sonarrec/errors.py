@@ -185,7 +185,7 @@ def refuse_url(path: AnyPath) -> AnyPath:
 
 
 MAX_PROBLEM_LINES = 20
-"""The most reasons for which frames could not be used; then a count."""
+"""The most lines on frames that could not be used; then a count."""
 
 
 MOST_FRAMES = 5
@@ -276,13 +276,17 @@ class Diagnostics:
     def skipped(self) -> list[str]:
         """A line for each frame that could not be used, one for all of a reason if many have it;
         of many reasons the first ones, then a count."""
-        lines = list[str]()
+        lines, frames = list[str](), 0
         for why, (first, *others) in self._skipped.items():
-            if (count := self._skipped_for[why]) > MOST_FRAMES:
-                lines.append(f"{first} and {count - 1} more frames: {why}, skipped")
+            count, names = self._skipped_for[why], [first, *others]
+            if count > MOST_FRAMES:
+                names, each = [f"{first} and {count - 1} more frames"], count
             else:
-                lines += [f"{frame}: {why}, skipped" for frame in (first, *others)]
-        more = self.unusable - self._skipped_for.total()
+                each = 1
+            names = names[: MAX_PROBLEM_LINES - len(lines)]
+            lines += [f"{name}: {why}, skipped" for name in names]
+            frames += each * len(names)
+        more = self.unusable - frames
         return [*lines, *([f"{number_of(more, 'more frame')} skipped"] if more > 0 else [])]
 
     @property

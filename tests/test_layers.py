@@ -33,22 +33,22 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1275,
+    "advice": 1274,
     "cli": 3172,
     "drawing": 696,
-    "evaluation": 3123,
+    "evaluation": 3122,
     "learning": 555,
     "mapping": 1460,
     "overlays": 631,
-    "readers": 6428,
+    "readers": 6430,
     "recogniser": 5740,
     "reports": 2687,
     "results": 1961,
     "runs": 1652,
     "simulation": 2617,
-    "sonar": 963,
-    "tables": 1136,
-    "truth": 1266,
+    "sonar": 962,
+    "tables": 1132,
+    "truth": 1265,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

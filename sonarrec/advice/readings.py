@@ -18,6 +18,7 @@ import numpy as np
 from sonarrec.advice.truth import FEWEST
 from sonarrec.arrays import BoolArray, FloatArray, IntArray, Table
 from sonarrec.errors import Advice, number_of
+from sonarrec.evaluation.counts import errors_of
 from sonarrec.evaluation.rows import Matched, ScoringOptions, equal_pairs, judge
 from sonarrec.results.read import LogResults
 from sonarrec.sonar.geometry import (
@@ -419,9 +420,7 @@ def _off(matched: Matched, log: LogResults) -> Iterator[str]:
             f"lie {abs(off_m):.2f} m {nearer} in range than the claims on them, throughout; "
             "range_m is the slant range to a landmark's middle, not that along the floor"
         )
-    period = np.array([matched.period_deg[i] for i in right["landmark"].tolist()], dtype=float)
-    rotation = (claims["orientation"] - truths["orientation"] + period / 2) % period - period / 2
-    rotation = np.abs(rotation[np.isfinite(rotation)])
+    rotation = errors_of(matched, right)["orientation"]["value"]
     if len(rotation) >= FEWEST and (median := float(np.median(rotation))) > MOST_ROTATION_DEG:
         yield (
             f"have orientations that differ by {median:.0f} deg, in the median, from those of the "

@@ -103,7 +103,7 @@ def count_log(log: Matched, *, rates_only: bool = False) -> CountedLog:
         for name, pieces in of_protocol.items():
             parts[name].append(pieces.with_columns(protocol=np.int8(p)))
         if protocol == "strict" and beneath is not None:
-            for kind, errors in _errors(log, right).items():
+            for kind, errors in errors_of(log, right).items():
                 parts[kind].append(errors.added_up([*_UNIT, "value"]))
             parts["calibration"].append(_calibration(log, beneath))
     tables = {name: stacked(pieces) for name, pieces in parts.items()}
@@ -158,7 +158,7 @@ def _right(log: Matched, right: Table) -> Table:
     return pairs[pairs["passage"] >= 0].added_up(["method", "passage"])
 
 
-def _errors(log: Matched, right: Table) -> dict[str, Table]:
+def errors_of(log: Matched, right: Table) -> dict[str, Table]:
     """A row per right claim and kind of error; a rotation after which the ID looks the same is no
     error. Unknown ones are left out."""
     claims, truths = log.claims[right["claim"]], log.truths[right["truth"]]

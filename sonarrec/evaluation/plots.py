@@ -72,7 +72,7 @@ def draw_roc(path: Path, counts: Counts) -> None:
 
     roc.csv has the whole curve.
     """
-    from matplotlib.figure import Figure  # a second, which the report does not need
+    from matplotlib.figure import Figure  # takes long to import; the report draws its own
 
     charts = {protocol: roc(counts, protocol) for protocol in counts.protocols}
     right = max(chart.fpr_end for chart in charts.values())

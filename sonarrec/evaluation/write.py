@@ -15,6 +15,7 @@ from sonarrec.errors import number_of
 from sonarrec.evaluation.counts import Counts
 from sonarrec.evaluation.figures import Difference, Figure, Summary
 from sonarrec.evaluation.mistakes import Mistake
+from sonarrec.evaluation.plots import draw_roc
 from sonarrec.evaluation.rows import PAPER_MIN_VISIBLE
 from sonarrec.tables.outputs import (
     as_cell,
@@ -146,8 +147,6 @@ def write_evaluation(folder: Path, evaluation: Evaluation) -> tuple[str, ...]:
     evaluation.json is written last, so if it exists the others are complete. Raises SonarrecError
     if they cannot be written; UsageError, before the first one, if a file of another kind exists.
     """
-    from sonarrec.evaluation.plots import draw_roc  # brings matplotlib
-
     text = json_text(evaluation)
     written = {f"{name}.csv": header for name, header in HEADERS.items()}
     check_folder(folder, (*written, "roc.png", "evaluation.json"))

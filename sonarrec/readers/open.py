@@ -231,6 +231,8 @@ def misnamed_sonar(log: Path) -> str:
     if log.is_dir():
         folder, own = log, SONAR_FILE
     for path in sorted({*folder.glob("*.toml*"), *folder.glob("*.txt")}):
+        if "sonar" not in path.name.lower() and not path.name.startswith(log_name(log)):
+            continue  # pictures may have a text file each
         with suppress(SonarrecError):
             if not path.name.endswith((f".{SONAR_FILE}", "run.toml")) and load_sonar(path):
                 return f"; {path.name} has a geometry: call it {own}"

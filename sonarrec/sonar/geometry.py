@@ -424,9 +424,8 @@ class PoseTable:
         distance_m = np.linalg.norm(self.pose[rows:, 1:] - self.pose[:-rows, 1:], axis=1)
         speed = np.median(distance_m / (self.time_ns[rows:] - self.time_ns[:-rows])) * 1e9
         asked = "too fast for a sonar; are x and y in metres, and the times right?"
-        if speed <= FASTEST_M_S:
-            return []
-        return [f"{self.name}: its poses move at {speed:.3g} m/s, {asked}"]
+        line = f"{self.name}: its poses move at {speed:.3g} m/s, {asked}"
+        return [line] if speed > FASTEST_M_S else []
 
     def _pose_at(self, time_ns: int) -> FloatArray | None:
         """(3,) the pose at a time; None if not known."""

@@ -280,12 +280,8 @@ def _checked(path: Path, first: int, column: Any, kind: Kind, labels: dict[Any, 
             number = text.str.replace(rf"^{ID_IN_LABELS}(?=\d)", "", case=False, regex=True)
             values = np.where(text == "none", NONE, _numbers(number))
         in_ns = kind == "whole" and str(column.name).endswith("_ns")
-        if (
-            in_ns
-            and len(values)
-            and np.all(values > ROUNDED_NS)
-            and not np.any(values % ROUNDED_NS)
-        ):
+        is_rounded = np.all(values > ROUNDED_NS) and not np.any(values % ROUNDED_NS)
+        if in_ns and len(values) and is_rounded and column.dtype.kind == "f":  # as in 1.7E+18
             raise SonarrecError(
                 f"{path}: {column.name} is rounded to {ROUNDED_NS // 10**9} s or more in every row "
                 f"({column.iloc[0]}), as spreadsheets do; export it again as text, or use frame"

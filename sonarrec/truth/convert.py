@@ -160,9 +160,8 @@ def convert(
         x, y = pixel_from_polar(pictures.fan, *of_discs)
         visible = np.minimum(visible, share_in_image(pictures.fan, *of_discs, landmarks.radius_m))
         lost = visible == 0
-    lost &= np.array(
-        [not shape[-1]["visible"] for shape in used], bool
-    )  # nobody has said what is in view
+    # A shape whose `visible` is stated is where a person says.
+    lost &= np.array([not shape[-1]["visible"] for shape in used], bool)
     if lost.any():
         image, _, at_x, at_y, *_ = used[np.argmax(lost)]
         diagnostics.problem(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from sonarrec.advice.results import of_results
 from sonarrec.advice.truth import counted_as_missed, outside, sparse
+from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.rows import ScoringOptions
 from sonarrec.landmarks import load_landmarks
@@ -131,3 +133,12 @@ def test_scoring_by_itself_advises_nothing_and_gives_the_same_counts(tmp_path: P
     assert not alone.unused
     assert len(advised.unused) == 1
     assert alone.confusion.equals(advised.confusion)
+
+
+@pytest.mark.parametrize(("cell", "rounded"), [("1.7E+18", True), ("1700000000000000000", False)])
+def test_times_that_a_spreadsheet_rounded_are_told_by_how_they_are_written(
+    tmp_path: Path, cell: str, rounded: bool
+) -> None:
+    path = csv_file(tmp_path / "gt.csv", "timestamp_ns,landmark,x_px,y_px", f"{cell},1,40,60")
+    with pytest.raises(SonarrecError, match="rounded") if rounded else nullcontext():
+        read_truth(path)

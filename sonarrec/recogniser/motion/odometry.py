@@ -18,7 +18,7 @@ LEAST_PAN_DEG = 0.3
 LEAST_COMPARED = 10
 # Of shifted clocks one is named if it mends at least LEAST_MENDED frames, and MENDED of those that
 # contradict.
-SHIFTS_S = np.arange(-20, 21) / 4
+SHIFTS_NS = np.arange(-20, 21) * 250_000_000
 LEAST_MENDED, MENDED = 5, 0.75
 
 
@@ -34,7 +34,7 @@ class Odometry:
         # many the images show a pan, and in how many another one, by each clock.
         self._span: tuple[int, int] | None = None
         self._frames = self._without_pose = self._compared = 0
-        self._differing = np.zeros(len(SHIFTS_S), np.int64)
+        self._differing = np.zeros(len(SHIFTS_NS), np.int64)
 
     def begin_stretch(self) -> None:
         """No image before the next one is compared with it; poses may give its motion."""
@@ -67,8 +67,8 @@ class Odometry:
                 self._compared += 1
                 assert self._poses is not None
                 assert before is not None
-                clocks = np.rint(SHIFTS_S * 1e9).astype(np.int64)
-                then, now = (self._poses.poses_at(t + clocks)[:, 0] for t in (before, timestamp_ns))
+                times_ns = np.array([[before], [timestamp_ns]]) + SHIFTS_NS
+                then, now = (self._poses.poses_at(t)[:, 0] for t in times_ns)
                 larger_of_each = np.maximum(np.abs(now - then), abs(pan_deg))
                 self._differing += ~(np.abs(now - then - pan_deg) <= 0.5 * larger_of_each)
             return by_poses
@@ -90,7 +90,7 @@ class Odometry:
                 f"{poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
                 f"covers {covered}, and the frames are from {log}"
             )
-        differing = int(self._differing[SHIFTS_S == 0][0])
+        differing = int(self._differing[SHIFTS_NS == 0][0])
         least = int(self._differing.min())
         mended = differing - least
         if self._compared >= LEAST_COMPARED and differing > self._compared / 2:
@@ -103,7 +103,7 @@ class Odometry:
                 about=poses.name,
             )
         elif mended >= max(LEAST_MENDED, MENDED * differing):
-            best = SHIFTS_S[self._differing == least]
+            best = SHIFTS_NS[self._differing == least] / 1e9
             shift = best[np.abs(best).argmin()]
             diagnostics.note(
                 f"its rotations contradict those of the images in {differing} frames, and in "
