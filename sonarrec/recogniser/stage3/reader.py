@@ -151,7 +151,9 @@ def sigmoid(x: FloatArray) -> FloatArray:
 def _steps(values: FloatArray) -> FloatArray:
     """The values rounded to multiples of 1 / INPUT_STEPS, in single precision."""
     steps = np.float32(INPUT_STEPS)
-    return np.asarray(np.rint(values * steps).astype(np.float32) / steps)
+    rounded = np.rint(values * steps).astype(np.float32, copy=False)
+    rounded /= steps
+    return np.asarray(rounded)
 
 
 def _with_ones(*values: FloatArray) -> FloatArray:
@@ -171,7 +173,9 @@ def _results(w: Weights, h: FloatArray, of_object: FloatArray) -> tuple[FloatArr
         new += w[f"conv{i}_bias"]
         np.maximum(new, 0, out=new)
         new = new.reshape(len(h), ANGLES, new.shape[1])
-        h = _steps(new + h if i else new)
+        if i:
+            new += h
+        h = _steps(new)
     parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), of_object]
     hidden = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
     return h, _steps(np.maximum(hidden, 0))
