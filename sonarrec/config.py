@@ -50,7 +50,8 @@ class Candidates:
     disc_radius_px: Annotated[float, bounds(3)] = _setting(
         12.0,
         "pixels",
-        "radius of a landmark on the floor seen from above; never finer than the fan",
+        "radius of a landmark on the floor seen from above; never finer than the fan, and a "
+        "quarter less where the floor would have over 2^18 pixels",
     )
     threshold: Share = _setting(
         0.4,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from sonarrec.arrays import BoolArray, FloatArray, selected
 from sonarrec.errors import SonarrecError
 from sonarrec.learning.samples import Samples
-from sonarrec.recogniser.stage3.reader import LAST_LAYER, Reader, Weights
+from sonarrec.recogniser.stage3.reader import LAST_LAYER, Reader, Weights, blocks
 
 # Weight of the prior, in frames: on the squared change of each gain and bias, as the root mean
 # square of what it does to log beliefs. The frames of a track share a memory of 40
@@ -20,8 +20,6 @@ LEAST_SPREAD = 1e-3
 LEAST_STEP = 1e-3
 """Of a gain or bias; slopes are differences over it."""
 MOST_STEPS = 50
-AT_ONCE = 500
-"""Samples whose layers, or beliefs, are in memory together."""
 
 
 def fit(
@@ -51,7 +49,7 @@ def fit(
     outputs = [
         reader.last_layer(selected(r.pictures, rows))
         for r in recordings
-        for rows in _blocks(len(r.label))
+        for rows in blocks(len(r.label))
     ]
 
     def log_probabilities(change: FloatArray) -> FloatArray:
@@ -101,11 +99,6 @@ def _changed(weights: Weights, change: FloatArray) -> Weights:
         changed[name] = (1 + gain) * weights[name]
         changed[name][-1] += bias
     return changed
-
-
-def _blocks(n: int) -> Iterator[slice]:
-    """Slices of AT_ONCE of n samples."""
-    return (slice(first, min(first + AT_ONCE, n)) for first in range(0, n, AT_ONCE))
 
 
 def part_of(samples: Samples, which: BoolArray) -> Samples:

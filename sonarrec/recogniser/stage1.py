@@ -7,7 +7,6 @@ correlation (Hough) map above a threshold are candidates.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -45,7 +44,6 @@ LEAST_LOCAL_SIGMA = 0.5  # share of the whole frame's sigma
 LARGE, SEARCHED, LEAST_RADIUS = 2**16, 2, 4.5
 COARSE_SHARE, LEAST_SHARE = 0.77, 0.63
 NEIGHBOURHOOD = np.ones((3, 3), np.uint8)  # a pixel and its neighbours
-TINY = 1e-6  # disc diameters: rounding errors put no near peak two squares off
 # At most MOST_PEAKS peaks are compared with each other on a floor with room for FLOOR_DISCS discs
 # or fewer; a frame with more is all noise. On a larger floor the limits of peaks and candidates
 # grow in proportion, up to MOST_FACTOR. All measured kinds of scene have smaller floors.
@@ -115,24 +113,16 @@ class CandidateSelector:
 
     def _suppress_neighbours(self, positions: FloatArray, most: int) -> list[int]:
         """Indices of the peaks, best first, that are not too near a better one; `most` of them."""
-        across, along = self._diameter
-        least = self._config.separation
+        x, y = (positions / self._diameter).T
+        near = np.square(x[:, None] - x) + np.square(y[:, None] - y) < self._config.separation**2
         kept: list[int] = []
-        # The better peaks of every square, a separation wide, and of its neighbours: only these can
-        # be too near.
-        better = defaultdict[tuple[int, int], list[tuple[float, float]]](list)
-        # Few are kept, so plain numbers are faster than arrays.
-        squares = np.floor(positions / np.multiply(self._diameter, least + TINY)).astype(int)
-        rows = zip(positions.tolist(), squares.tolist(), strict=True)
-        for i, ((x, y), (column, row)) in enumerate(rows):
-            near = better.get((column, row), ())
-            if all(math.hypot((x - u) / across, (y - v) / along) >= least for u, v in near):
+        left = np.ones(len(positions), bool)
+        for i in range(len(positions)):
+            if left[i]:
                 kept.append(i)
-                for c in (column - 1, column, column + 1):
-                    for r in (row - 1, row, row + 1):
-                        better[c, r].append((x, y))
                 if len(kept) == most:
                     break
+                left &= ~near[i]
         return kept
 
 

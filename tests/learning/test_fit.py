@@ -80,7 +80,7 @@ def test_memory_of_learning_is_little_more_than_the_samples():
 def test_samples_in_blocks_teach_what_they_teach_together(monkeypatch):
     recordings = [drawn(changed(2), 150, 1), drawn(changed(2), 80, 2)]
     together = fit(recordings, WEIGHTS, CODES)
-    monkeypatch.setattr("sonarrec.learning.fit.AT_ONCE", 64)
+    monkeypatch.setattr("sonarrec.recogniser.stage3.reader.AT_ONCE", 64)
     in_blocks = fit(recordings, WEIGHTS, CODES)
     for name in LAST_LAYER:
         np.testing.assert_allclose(in_blocks[name], together[name], atol=1e-5)

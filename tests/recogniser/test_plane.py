@@ -77,6 +77,16 @@ def test_a_floor_circle_is_a_circle_of_one_size(window, bearing_deg, share, disc
     np.testing.assert_allclose(row - centre[1], -plane.axes[0] * np.sin(angle), atol=1e-6)
 
 
+@pytest.mark.parametrize(("far", "radius_px"), [(5.0, 12.0), (10.0, 9.0)])
+def test_a_large_floor_has_larger_pixels(far, radius_px):
+    fan = make_fan(1024, 1.0, far, height_m=0.8, field_of_view_deg=130.0)
+    plane = FloorPlane(fan, 0.15, 12.0)
+    assert plane.axes == pytest.approx((radius_px, radius_px))
+    pixel_m2 = (0.15 / radius_px) ** 2
+    area_m2 = math.radians(130) * (far**2 - 1) / 2  # less two corners below the image
+    assert np.count_nonzero(plane.inside) * pixel_m2 == pytest.approx(area_m2, rel=0.06)
+
+
 @pytest.mark.parametrize("rows", [200, 331, 512])
 @pytest.mark.parametrize(("range_m", "bearing_deg"), [(1.9, -6.0), (2.6, 8.0), (3.3, 1.5)])
 def test_a_drawn_disc_comes_out_round_and_where_it_is(rows, range_m, bearing_deg):

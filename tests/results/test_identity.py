@@ -22,7 +22,7 @@ from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.logs import frames, image_folder
 
 SAMPLES = SAMPLE.parent
-RECORDED = (5, "d6f157943c6362c1d8dde0c5094b92206e512f35682a8a68a8771bc384eaff35")
+RECORDED = (6, "d6f157943c6362c1d8dde0c5094b92206e512f35682a8a68a8771bc384eaff35")
 """RESULTS_VERSION when the tables on record last changed, and their digest."""
 
 

@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cache
 
 import numpy as np
 
@@ -47,7 +48,7 @@ _TIMES = (
     r"(?P<hour>\d\d)(?P<minute>\d\d)(?P<second>\d\d)",
     _LETTERED,
 )
-_DATED = [re.compile(rf"(?<!\d){date}{_BETWEEN}{time}") for date in _DATES for time in _TIMES]
+_LEAST_DIGITS = 8  # of a date with a time, or of the seconds since 1970
 _SINCE_1970 = re.compile(r"(?<!\d)0*(?P<since>1[1-9]\d{8})")  # s, from 2004 to 2033
 _TIME_OF_DAY = [
     re.compile(rf"(?<!\d)(?P<hour>\d\d)(?P<colon>{_ANY})(?P<minute>\d\d)(?P=colon)(?P<second>\d\d)"
@@ -74,6 +75,12 @@ _DIGITS = re.compile(
 )
 
 
+@cache
+def _dated() -> list[re.Pattern[str]]:
+    """The forms of date and time; compiling them takes as long as recognising several frames."""
+    return [re.compile(rf"(?<!\d){date}{_BETWEEN}{time}") for date in _DATES for time in _TIMES]
+
+
 @dataclass(frozen=True, slots=True)
 class NamedTimes:
     """The times of n names."""
@@ -93,7 +100,9 @@ def times_in_names(stems: Sequence[str]) -> NamedTimes | None:
     Each name has date and time of day in the same form, or the time since 1970 in s, ms, us or ns,
     or, if no name has a date, a time of day with decimals, which may go over midnight.
     """
-    named = [times for form in (*_DATED, _SINCE_1970) if (times := _read(form, stems)) is not None]
+    digits = sum(map(str.isdigit, "".join(stems[:1])))
+    forms = [*_dated(), _SINCE_1970] if digits >= _LEAST_DIGITS else []
+    named = [times for form in forms if (times := _read(form, stems)) is not None]
     if not named and not any(map(date_in, stems[:1])):
         named = [t for form in _TIME_OF_DAY if (t := _read(form, stems, dated=False)) is not None]
     # Day and month may be exchanged: then the right reading is the one that takes days, not months.

@@ -25,7 +25,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sonarrec.arrays import BoolArray, FloatArray, IndexArray
+from sonarrec.arrays import BoolArray, FloatArray, IndexArray, joined, selected
 from sonarrec.recogniser.stage3.shape_matrix import ANGLES, STEP, SYMBOL_LINES
 
 LAYERS = ((3, 1), (5, 1), (5, 2), (3, 4))
@@ -43,6 +43,8 @@ LAST_LAYER = ("lit", "disc", "other")
 # Their products are then multiples of 2 ** -15, and sums below 512 are exact in single precision,
 # in whatever order a processor adds: the results are the same on all of them.
 INPUT_STEPS, WEIGHT_STEPS = 64, 512
+AT_ONCE = 500
+"""Pictures that are read together, which bounds the memory."""
 DECIMALS = 6  # of log beliefs, before anything is decided by them
 # A rotation is the mean of those within NEAR steps of the likeliest, weighted by their likelihood
 # to the power NEAR_EXPONENT. Its standard error is their spread times ROTATION_SIGMA: on tuning
@@ -109,7 +111,12 @@ class Reader:
 
     def __call__(self, pictures: Pictures) -> Reading:
         """Read n pictures. Objects do not affect each other."""
-        return self.judged(*self.last_layer(pictures))
+        return joined(
+            [
+                self.judged(*self.last_layer(selected(pictures, rows)))
+                for rows in blocks(len(pictures.smear))
+            ]
+        )
 
     def last_layer(self, pictures: Pictures) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n, ANGLES), (n,) and (n,): l, D and O. Of a direction never seen l is exactly 0."""
@@ -143,6 +150,11 @@ class Reader:
         return np.asarray(self.scale * (fit - np.logaddexp(0, lit).sum(axis=1)[:, None, None]))
 
 
+def blocks(n: int) -> list[slice]:
+    """Slices of AT_ONCE of n pictures; one that is empty if there are none."""
+    return [slice(first, min(first + AT_ONCE, n)) for first in range(0, max(n, 1), AT_ONCE)]
+
+
 def sigmoid(x: FloatArray) -> FloatArray:
     """The probability of log odds x."""
     return np.asarray(0.5 * (1 + np.tanh(x / 2)))
@@ -151,7 +163,9 @@ def sigmoid(x: FloatArray) -> FloatArray:
 def _steps(values: FloatArray) -> FloatArray:
     """The values rounded to multiples of 1 / INPUT_STEPS, in single precision."""
     steps = np.float32(INPUT_STEPS)
-    return np.asarray(np.rint(values * steps).astype(np.float32) / steps)
+    rounded = np.rint(values * steps).astype(np.float32, copy=False)
+    rounded /= steps
+    return np.asarray(rounded)
 
 
 def _with_ones(*values: FloatArray) -> FloatArray:
@@ -171,7 +185,9 @@ def _results(w: Weights, h: FloatArray, of_object: FloatArray) -> tuple[FloatArr
         new += w[f"conv{i}_bias"]
         np.maximum(new, 0, out=new)
         new = new.reshape(len(h), ANGLES, new.shape[1])
-        h = _steps(new + h if i else new)
+        if i:
+            new += h
+        h = _steps(new)
     parts = [h.mean(axis=1), h.max(axis=1), h.min(axis=1), of_object]
     hidden = _steps(np.concatenate(parts, axis=1)) @ w["hidden"] + w["hidden_bias"]
     return h, _steps(np.maximum(hidden, 0))
