@@ -276,6 +276,16 @@ def test_times_in_another_unit_are_refused(here: Path, pan: Path, unit: str, ns:
         assert re.search(rf"only in {unit}\n", checked)
 
 
+@pytest.mark.parametrize("black", [(), (2,), (1, 3)])
+def test_black_frames_among_others_are_noted(here: Path, black: tuple[int, ...]) -> None:
+    log = sample_log(here / "dive", 4)
+    for n in black:
+        cv2.imwrite(str(log / f"{n:06d}.png"), np.zeros((256, 191), np.uint8))
+    told = [line for line in sonarrec("run", log).stderr.splitlines() if "black" in line]
+    assert len(told) == bool(black)
+    assert all(f"{len(black)} of 4 frames" in t and f"them {black[0]};" in t for t in told)
+
+
 def test_a_part_that_is_labelled_is_scored_alone_as_is_advised(here: Path, pan: Path) -> None:
     part = [row for row in read_rows(SAMPLES / "pan.gt.csv") if int(row["frame"]) < 64]
     truth = here / "gt.csv"
