@@ -281,7 +281,7 @@ def test_black_frames_among_others_are_noted(here: Path, black: tuple[int, ...])
     log = sample_log(here / "dive", 4)
     for n in black:
         cv2.imwrite(str(log / f"{n:06d}.png"), np.zeros((256, 191), np.uint8))
-    told = [line for line in sonarrec("run", log).stderr.splitlines() if "black" in line]
+    told = [line for line in sonarrec("run", log).stderr.splitlines() if "are black" in line]
     assert len(told) == bool(black)
     assert all(f"{len(black)} of 4 frames" in t and f"them {black[0]};" in t for t in told)
 
