@@ -38,10 +38,10 @@ SOUND_M_S = 1600.0  # in the warmest and saltiest water
 
 def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
     """On the geometry of a log that was read. first: its first frames."""
-    lines = [*filter(None, [contradiction(first, log.sonar)])]
+    lines = [contradiction(first, log.sonar)]
     if log.fan is not None:
         lines += [*_unlikely(log.sonar, log.fan), *_in_radians(log.sonar, log.fan)]
-    yield from map(Advice, lines)
+    yield from (Advice(line) for line in lines if line)
 
 
 def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
