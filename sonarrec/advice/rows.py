@@ -80,16 +80,9 @@ def check_truth(
         floor = floor_position(fan, range_m, bearing_deg)
         share = share_in_image(fan, range_m, bearing_deg, radius_m)
         outside = outside_image(fan, range_m, bearing_deg, radius_m)
-        # Something else may hide a landmark too, so `visible` may be less.
-        for n in np.flatnonzero(outside | ((visible <= 1) & (visible > share + SLACK))):
-            kind = "visible"
-            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
-            if outside[n]:
-                where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
-                kind, text = "outside", f"the whole disc is outside the fan ({where})"
-            faults.append(Fault(line[n], kind, text))
-        columns = (landmark, frame, stretch, range_m, bearing_deg, floor, share)
-        rows = [_Row(*c) for c in zip(line, *(v.tolist() for v in columns), strict=True)]
+        columns = (landmark, visible, frame, stretch, range_m, bearing_deg, floor, share, outside)
+        rows = [_Row(*cells) for cells in zip(line, *(c.tolist() for c in columns), strict=True)]
+        faults += _outside(rows)
         faults += _overlaps(rows, radius_m)
         faults += _changes(rows, radius_m)
         faults += _jumps(rows, radius_m, max_pan_deg)
@@ -132,16 +125,19 @@ def _frames(
 
 class _Row(NamedTuple):
     """A row with a position. frame: -1 if the log has no such frame. stretch: of that frame. floor:
-    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image."""
+    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image.
+    outside: whether all of it is clearly outside."""
 
     line: int
     landmark: int
+    visible: float
     frame: int
     stretch: int
     range_m: float
     bearing_deg: float
     floor: list[float]
     share: float
+    outside: bool
 
 
 def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
@@ -150,6 +146,17 @@ def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
     for row in rows:
         groups[row.frame].append(row)
     return {frame: groups[frame] for frame in sorted(groups) if frame >= 0}
+
+
+def _outside(rows: Iterable[_Row]) -> Iterator[Fault]:
+    """Discs of which the fan image shows nothing, or less than is stated."""
+    for row in rows:
+        if row.outside:
+            where = f"range {row.range_m:.2f} m, bearing {row.bearing_deg:.1f} deg"
+            yield Fault(row.line, "outside", f"the whole disc is outside the fan ({where})")
+        elif row.share + SLACK < row.visible <= 1:  # less may be: something else hides it
+            text = f"visible {row.visible:.2f}, but {row.share:.2f} of the disc is in the fan image"
+            yield Fault(row.line, "visible", text)
 
 
 def _overlaps(rows: Iterable[_Row], radius_m: float) -> Iterator[Fault]:
