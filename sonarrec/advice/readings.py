@@ -9,7 +9,8 @@ method. These checks follow one another, and the first that finds something ends
    if hardly any rows and claims meet, the note says what was seen and gives no reason.
 2. Would a part of the rows fit better in another reading?
 3. Do frames with claims lack rows?
-4. Are right claims all as far off in range, or in orientation? This is no more than a note.
+4. Do many claims lie where no row is? Are right claims all as far off in range, or in orientation,
+   or exactly on rows? These are no more than notes.
 """
 
 from __future__ import annotations
@@ -46,8 +47,10 @@ OTHER_IDS = 0.25  # of the rows lie on claims of other IDs; a method confuses fe
 SAME_SCALE = 0.04  # difference from 1 that counts as none
 LEAST_SCALE = 0.1  # with less, claims hardly depend on rows
 LEAST_SPREAD = 0.05  # m or deg, of values that show a scale
+MOST_EVERY = 30  # frames from one that was labelled to the next
 FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
 FEWEST_CLAIMS = 20  # of which a few right ones may be chance
+SAME_M = 5e-4  # of labels and claims made by different means, which differ by millimetres at least
 MOST_ROTATION_DEG = 20.0  # by which right claims differ, in the median
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
@@ -66,7 +69,8 @@ def of_claims(
         if lines := [*check(both)]:
             yield from (Advice(f"{table.path}: {line}", grave=True) for line in lines)
             return
-    yield from (Advice(f"{table.path}: {line}") for line in _off_throughout(both))
+    for check in (_on_no_row, _off_throughout):
+        yield from (Advice(f"{table.path}: {line}") for line in check(both))
 
 
 class _Meeting(NamedTuple):
@@ -213,7 +217,7 @@ def _other_reading(both: _Sightings) -> Iterator[str]:
         if not reason:
             reason, doubtful = _other_statement(both, seen.explains)
         if not reason and (doubtful or not seen.explains):
-            reason = _other_scale(both)
+            reason = _other_scale(both) or _other_numbers(both)
     name = both.log.name
     if reason:
         yield f"its rows would fit the claims in {name} clearly better {reason}; check it"
@@ -262,6 +266,12 @@ def _ways(both: _Sightings) -> dict[str, Way]:
             ways["with x_px and y_px exchanged"] = lambda range_m, bearing: polar_from_pixel(
                 fan, *pixel_from_polar(fan, range_m, bearing)[::-1]
             )
+
+            def turned(range_m: FloatArray, bearing: FloatArray) -> tuple[FloatArray, FloatArray]:
+                column, row = pixel_from_polar(fan, range_m, bearing)
+                return polar_from_pixel(fan, column, fan.rows - 1 - row)
+
+            ways["with y_px counted from the top row"] = turned
     return ways
 
 
@@ -318,24 +328,55 @@ def _other_scale(both: _Sightings) -> str:
     pairs = pairs[pairs["same"]]
     if len(pairs) < FEWEST:
         return ""
-    stated = polar_from_plane(sure["position"][pairs["row"]])
-    claimed = polar_from_plane(both.claims["position"][pairs["claim"]])
-    of_range, of_bearing = map(_line, stated, claimed)
-    words = []
-    for name, unit, least, (scale, offset) in (
-        ("range", "m", 0.1, of_range),
-        ("bearing", "deg", 1.0, of_bearing),
-    ):
-        if abs(scale) <= LEAST_SCALE:
-            return ""
-        if scale != 1 or abs(offset) > least:
-            times = f" times {scale:.3g}" if scale != 1 else ""
-            moved = f" {offset:+.2g} {unit}" if abs(offset) > least else ""
-            words.append(f"{name} were that stated{times}{moved}")
-    polar = polar_from_plane(both.rows["position"])
-    meant = plane_from_polar(*map(np.polyval, (of_range, of_bearing), polar))
-    explains = both.meeting(both.rows.with_columns(position=meant)).explains
-    return f"if {' and '.join(words)}" if words and explains else ""
+    claimed = both.claims["position"][pairs["claim"]]
+    for statement in _statements(both):
+        lines = [*map(_line, statement.of(sure["position"][pairs["row"]]), statement.of(claimed))]
+        if any(abs(scale) <= LEAST_SCALE for scale, _ in lines):
+            continue
+        words = []
+        for (name, unit, least), (scale, offset) in zip(statement.columns, lines, strict=True):
+            if scale != 1 or abs(offset) > least:
+                times = f" times {scale:.3g}" if scale != 1 else ""
+                moved = f" {offset:+.2g} {unit}" if abs(offset) > least else ""
+                words.append(f"{name} were that stated{times}{moved}")
+        meant = map(np.polyval, lines, statement.of(both.rows["position"]))
+        moved_rows = both.rows.with_columns(position=statement.to_plane(*meant))
+        if words and both.meeting(moved_rows).explains:
+            other = statement.columns[0][1] == "px" and any(scale != 1 for scale, _ in lines)
+            pictures = " (were they measured in other pictures than the fan images?)"
+            return f"if {' and '.join(words)}{pictures if other else ''}"
+    return ""
+
+
+def _other_numbers(both: _Sightings) -> str:
+    """By which factor nearly all rows meet claims, where every n-th frame was numbered anew."""
+    for every in range(2, MOST_EVERY + 1):
+        numbered = both.rows.with_columns(frame=every * both.rows["frame"])
+        if both.meeting(numbered).explains:
+            return f"with frame numbers times {every}, as if every {every}th frame had one"
+    return ""
+
+
+class _Statement(NamedTuple):
+    """How positions are stated: (name, unit, least offset that counts) of its two columns, and how
+    these follow from (n, 2) positions in the fan plane, and back."""
+
+    columns: tuple[tuple[str, str, float], tuple[str, str, float]]
+    of: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    to_plane: Callable[[FloatArray, FloatArray], FloatArray]
+
+
+def _statements(both: _Sightings) -> Iterator[_Statement]:
+    """The ways to state positions in which a truth may have another scale, its own first."""
+    fan = both.log.fan
+    if both.in_pixels and fan is not None:
+        yield _Statement(
+            (("x_px", "px", 3.0), ("y_px", "px", 3.0)),
+            lambda position: pixel_from_polar(fan, *polar_from_plane(position)),
+            lambda column, row: plane_from_polar(*polar_from_pixel(fan, column, row)),
+        )
+    polar = ("range", "m", 0.1), ("bearing", "deg", 1.0)
+    yield _Statement(polar, polar_from_plane, plane_from_polar)
 
 
 def _line(stated: FloatArray, claimed: FloatArray) -> tuple[float, float]:
@@ -368,6 +409,9 @@ def _other_part(both: _Sightings) -> Iterator[str]:
     if rows >= FEWEST_CLAIMS and on_others > OTHER_IDS * rows:
         yield f"{on_others} of {rows} rows lie on claims of other IDs in {name}; check them"
         return
+    if text := _bearings_alone(both):
+        yield f"{text} in {name}; bearing_deg is from the sonar's axis, not from north or a start"
+        return
     rivals = rest[np.unique(pairs["row"][pairs["same"]])]  # without misses
     for words, way in _ways(both).items():
         count = unmet.meeting(_read(rivals, way))
@@ -375,6 +419,27 @@ def _other_part(both: _Sightings) -> Iterator[str]:
             text = f"{count.rows_met} of {rows} rows would meet claims only {words}"
             yield f"{text} in {name}; check them"
             return
+
+
+def _bearings_alone(both: _Sightings) -> str:
+    """How many rows have the range of a claim of their ID but another bearing; empty if few."""
+    sure = both.rows[both.rows["sure"]]
+    pairs = both.pairs(sure)
+    pairs = pairs[pairs["same"]]
+    (range_m, _), (claimed_m, _) = (
+        polar_from_plane(table["position"][pairs[of]])
+        for table, of in ((sure, "row"), (both.claims, "claim"))
+    )
+    near = np.abs(range_m - claimed_m) <= both.matched.gate_m / 2
+    with_claim, of_range, met = (
+        len(np.unique(pairs["row"][which]))
+        for which in (pairs["row"] >= 0, near, pairs["offset"] <= 1)
+    )
+    if with_claim < FEWEST_CLAIMS or of_range < NEARLY_ALL * with_claim or 2 * met > with_claim:
+        return ""
+    return (
+        f"{of_range} of {with_claim} rows have the range of a claim of their ID, {met} its bearing"
+    )
 
 
 def _without_rows(both: _Sightings) -> Iterator[str]:
@@ -423,7 +488,29 @@ def _between_rows(both: _Sightings) -> int:
     return len({*unseen}) if len(unseen) > UNSEEN * (len(rows) + len(unseen)) else 0
 
 
-# Right claims
+# Notes
+
+
+def _on_no_row(both: _Sightings) -> Iterator[str]:
+    """Whether many claims lie where the truth has nothing."""
+    if not both.matched.placed:
+        return
+    pairs = both.pairs(both.rows)
+    on_a_row = pairs["claim"][pairs["offset"] <= 1]
+    alone = np.setdiff1d(np.arange(len(both.claims)), on_a_row)
+    if both.options.labelled_only:
+        alone = alone[np.isin(both.claims["frame"][alone], both.rows["frame"])]
+    if len(alone) < max(FEWEST_CLAIMS, PART * len(both.claims)):
+        return
+    lonely, where = both.claims[alone], []
+    for landmark in np.unique(lonely["landmark"]).tolist():
+        frames = np.unique(both.matched.frame[lonely["at"][lonely["landmark"] == landmark]])
+        where.append(f"ID.{landmark} in {number_of(len(frames), 'frame')} from {frames[0]} on")
+    yield (
+        f"{len(alone)} of {len(both.claims)} claims in {both.log.name} lie where it has no row and "
+        f"count as false ({', '.join(where)}); if landmarks are there, also at the image's edge, "
+        "they lack rows"
+    )
 
 
 def _off_throughout(both: _Sightings) -> Iterator[str]:
@@ -436,6 +523,12 @@ def _off_throughout(both: _Sightings) -> Iterator[str]:
     if len(right) < FEWEST:
         return
     claims, truths = matched.claims[right["claim"]], matched.truths[right["truth"]]
+    apart_m = float(np.median(errors_of(matched, right)["position"]["value"]))
+    if apart_m < SAME_M:
+        yield (
+            f"{its_rows} lie on the claims to {apart_m:.1g} m; if they were made from results and "
+            "not checked, rates say nothing"
+        )
     off_each = np.hypot(claims["x"], claims["y"]) - np.hypot(truths["x"], truths["y"])
     off_m = float(np.median(off_each))
     spread_m = float(np.median(np.abs(off_each - off_m)))

@@ -167,6 +167,13 @@ def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name
         return (
             f"x_px and y_px are exchanged, as range_m and bearing_deg tell in {name}; rename them"
         )
+    factor = float(np.nanmedian(stated / table.pixel[rows]))
+    scaled_px = np.linalg.norm(factor * table.pixel[rows] - stated, axis=1)
+    if np.nanmedian(scaled_px) <= MOST_DIFFERENCE_PX:
+        return (
+            f"x_px and y_px would have to be {factor:.3g} times as large to agree with range_m and "
+            f"bearing_deg in {name}; were they measured in pictures of another size?"
+        )
     return (
         f"{wrong} of {len(difference_px)} rows have x_px, y_px and range_m, bearing_deg that "
         f"differ by more than {MOST_DIFFERENCE_PX:g} px in {name} (median "
