@@ -221,6 +221,8 @@ def _other_reading(both: _Sightings) -> Iterator[str]:
     name = both.log.name
     if reason:
         yield f"its rows would fit the claims in {name} clearly better {reason}; check it"
+    elif text := _bearings_alone(both):
+        yield f"{text} in {name}; bearing_deg is from the sonar's axis, not from north or a start"
     elif doubtful or seen.by_chance:
         claimed = seen.claims or len(both.claims)  # all, if none is on a frame with a row
         yield (
@@ -409,9 +411,6 @@ def _other_part(both: _Sightings) -> Iterator[str]:
     if rows >= FEWEST_CLAIMS and on_others > OTHER_IDS * rows:
         yield f"{on_others} of {rows} rows lie on claims of other IDs in {name}; check them"
         return
-    if text := _bearings_alone(both):
-        yield f"{text} in {name}; bearing_deg is from the sonar's axis, not from north or a start"
-        return
     rivals = rest[np.unique(pairs["row"][pairs["same"]])]  # without misses
     for words, way in _ways(both).items():
         count = unmet.meeting(_read(rivals, way))
@@ -423,6 +422,8 @@ def _other_part(both: _Sightings) -> Iterator[str]:
 
 def _bearings_alone(both: _Sightings) -> str:
     """How many rows have the range of a claim of their ID but another bearing; empty if few."""
+    if not both.matched.placed:
+        return ""
     sure = both.rows[both.rows["sure"]]
     pairs = both.pairs(sure)
     pairs = pairs[pairs["same"]]
