@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1274,
+    "advice": 1248,
     "cli": 3172,
     "drawing": 696,
     "evaluation": 3122,

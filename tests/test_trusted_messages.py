@@ -206,6 +206,12 @@ def radians(row: Row) -> Row:
     return {**polar(row), "bearing_deg": f"{-math.radians(float(row['bearing_deg'])):.6f}"}
 
 
+def swung(row: Row) -> Row:
+    """As from north, while the sonar turned by 8 deg to and fro."""
+    bearing_deg = float(row["bearing_deg"])
+    return {**polar(row), "bearing_deg": f"{bearing_deg - math.copysign(8, bearing_deg):.4f}"}
+
+
 def mirrored(row: Row) -> Row:
     return {**polar(row), "bearing_deg": f"{-float(row['bearing_deg']):.4f}"}
 
@@ -214,9 +220,24 @@ def far_end(row: Row) -> Row:  # the log shows 1.25 to 3.75 m
     return {**mirrored(row), "range_m": f"{5 - float(row['range_m']):.4f}"}
 
 
+def pixels(row: Row, column: Callable[[float], float], line: Callable[[float], float]) -> Row:
+    kept = {key: row[key] for key in ("frame", "landmark", "visible")}
+    x_px, y_px = column(float(row["x_px"])), line(float(row["y_px"]))
+    return {**kept, "x_px": f"{x_px:.2f}", "y_px": f"{y_px:.2f}"}
+
+
 @pytest.mark.parametrize(
     ("change", "reasons"),
     [
+        (lambda row: pixels(row, lambda x: x, lambda y: 255 - y), ["y_px counted from the top"]),
+        (
+            lambda row: pixels(row, lambda x: x - 15, lambda y: y - 15),
+            ["x_px were that stated +15 px", "y_px were that stated +15 px"],
+        ),
+        (
+            lambda row: pixels(row, lambda x: x / 2, lambda y: y / 2),
+            ["x_px were that stated times 2", "other pictures"],
+        ),
         (lambda row: moved(row, 100), ["100 frames earlier (25 s)"]),
         (radians, ["sign of their bearings", "radians"]),
         (far_end, ["sign of their bearings", "--range-order"]),
@@ -230,6 +251,36 @@ def test_another_reading_is_told_where_it_explains_nearly_all(
     line = evaluated(pan, truth, code=3).stderr.partition("\n")[0]
     assert all(reason in line for reason in ["clearly better", *reasons])
     assert line.count(" and ") == len(reasons) - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "told", "code"),
+    [
+        # Every fourth frame was labelled, and these were counted.
+        (lambda row: {**polar(row), "frame": f"{int(row['frame']) / 4:g}"}, "numbers times 4", 3),
+        (swung, "range of a claim of their ID", 3),
+        (lambda row: polar(row) if row["landmark"] == "1" else {}, "ID.3 in 76 frames", 0),
+        (lambda row: polar(row) if row["visible"] == "1.0" else {}, "the image's edge", 0),
+    ],
+)
+def test_rows_of_other_frames_or_bearings_and_missing_ones_are_told(
+    here: Path, pan: Path, change: Callable[[Row], Row], told: str, code: int
+) -> None:
+    rows = [row for row in map(change, read_rows(SAMPLES / "pan.gt.csv")) if row]
+    truth = here / "gt.csv"
+    write_rows(truth, [row for row in rows if "." not in row["frame"]])
+    done = evaluated(pan, truth, code=code)
+    assert told in done.stderr + done.stdout
+
+
+def test_own_claims_taken_for_truth_are_noted(here: Path, pan: Path) -> None:
+    claims = [row for row in read_rows(pan / "estimates.csv") if row["declared"] == "1"]
+    claims = [row for row in claims if row["method"] == "framework"]
+    truth = here / "gt.csv"
+    write_rows(
+        truth, [{k: row[k] for k in ("frame", "landmark", "x_px", "y_px")} for row in claims]
+    )
+    assert "made from results" in evaluated(pan, truth).stdout
 
 
 def test_few_claims_that_are_right_by_chance_are_doubted(here: Path, pan: Path) -> None:
@@ -274,6 +325,16 @@ def test_times_in_another_unit_are_refused(here: Path, pan: Path, unit: str, ns:
     if unit:
         assert re.search(rf"only if they are in {unit}\b", told)
         assert re.search(rf"only in {unit}\n", checked)
+
+
+@pytest.mark.parametrize("black", [(), (2,), (1, 3)])
+def test_black_frames_among_others_are_noted(here: Path, black: tuple[int, ...]) -> None:
+    log = sample_log(here / "dive", 4)
+    for n in black:
+        cv2.imwrite(str(log / f"{n:06d}.png"), np.zeros((256, 191), np.uint8))
+    told = [line for line in sonarrec("run", log).stderr.splitlines() if "are black" in line]
+    assert len(told) == bool(black)
+    assert all(f"{len(black)} of 4 frames" in t and f"them {black[0]};" in t for t in told)
 
 
 def test_a_part_that_is_labelled_is_scored_alone_as_is_advised(here: Path, pan: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
-from sonarrec.landmarks import DrawnSet, LandmarkSet, load_landmarks
+from sonarrec.landmarks import DrawnSet, load_landmarks
 from sonarrec.readers.log import MOST_HZ, Log
 from sonarrec.recogniser.restore.saturation import BRIGHT
 from sonarrec.results.run_file import rerun
@@ -38,10 +38,10 @@ SOUND_M_S = 1600.0  # in the warmest and saltiest water
 
 def of_log(log: Log, first: Sequence[Frame]) -> Iterator[Advice]:
     """On the geometry of a log that was read. first: its first frames."""
-    yield from map(Advice, contradictions(first, log.sonar))
+    lines = [contradiction(first, log.sonar)]
     if log.fan is not None:
-        yield from map(Advice, _unlikely(log.sonar, log.fan))
-        yield from map(Advice, _in_radians(log.sonar, log.fan))
+        lines += [*_unlikely(log.sonar, log.fan), *_in_radians(log.sonar, log.fan)]
+    yield from (Advice(line) for line in lines if line)
 
 
 def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
@@ -50,73 +50,132 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     has_sightings: whether any landmark was declared.
     """
     log, fan, landmarks = run.log, run.fan, run.landmarks
-    static, saturated, cause = run.recogniser.restored
-    small = [*_in_radians(log.sonar, fan)]
-    yield from map(Advice, small)
-    doubts = [] if small else contradictions(run.first, log.sonar)
-    narrow = _too_narrow(fan, landmarks)  # which explains what the notes it omits would ask
-    if doubts:
-        yield Advice(f"{'; '.join(doubts)}; {_preview(run)} shows it")
+    # What explains the rest: then less is asked.
+    small, width_px = [*_in_radians(log.sonar, fan)], disc_width_px(fan, landmarks)
+    narrow = width_px < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
+    inverted = not has_sightings and _is_bright(run)
+    lines = [*small]
+    if not small and (doubt := contradiction(run.first, log.sonar)):
+        lines.append(f"{doubt}; {_preview(run)} shows it")
     elif not narrow and (other := run.recogniser.sizes.other()):
-        yield Advice(
+        lines.append(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
             f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m, the range window, "
             f"and whether a margin lies round the picture: {_preview(run)}"
         )
     if run.poses is not None and isinstance(landmarks, DrawnSet) and landmarks.pose == "free":
-        yield Advice(
+        lines.append(
             "the run does not use the poses, since plates may lie at any angle; if they lie on the "
             f'floor, state pose = "floor" in the landmarks {landmarks.name}'
         )
-    if why := _hardly_seen(fan, landmarks):
-        yield Advice(why)
-    yield from map(Advice, _unlikely(log.sonar, fan))
+    where = f"a landmark of {landmarks.name} in mid-window is"
+    middle_m = (fan.range_min_m + fan.range_max_m) / 2
+    low_deg = math.degrees(math.asin(min(floor_depth(fan) / middle_m, 1.0)))
+    if narrow:
+        wide = f"{width_px:.0f} px wide, and needs {LEAST_WIDTH_PX}"
+        lines.append(f"{where} {wide}; check range and scale: are all in metres?")
+    elif low_deg < LEAST_GRAZING_DEG:
+        lines.append(f"{where} seen {low_deg:.2g} deg above the floor; check range and height")
+    lines += _unlikely(log.sonar, fan)
+    static, saturated, cause = run.recogniser.restored
     if static:
-        yield Advice(
+        lines.append(
             f"{static:.1%} of the picture never changes, and is filled from its neighbours"
         )
-    inverted = not has_sightings and _is_bright(run)
     if saturated and not inverted:
-        yield Advice(f"{saturated:.0%} of the frames {cause}")
-    alone = len(run.first) == 1
-    if log.untimed and not alone:
-        yield Advice("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
-    if has_sightings or narrow or small or not run.recogniser.tracking:
+        lines.append(f"{saturated:.0%} of the frames {cause}")
+    if log.untimed and len(run.first) > 1:
+        lines.append("frames carry no time, so 1 Hz is assumed; give frame_rate_hz")
+    if run.recogniser.tracking and not (has_sightings or narrow or small):
+        lines += _nothing_declared(run, width_px, inverted)
+    yield from map(Advice, lines)
+
+
+def _nothing_declared(run: PreparedRun, width_px: float, inverted: bool) -> Iterator[str]:
+    """What may be wrong if nothing is recognised, the likeliest first.
+
+    width_px: of a landmark in mid-window. inverted: whether the pictures seem to be.
+    """
+    log, landmarks, reading = run.log, run.landmarks, run.log.reading()
+    if len(run.first) == 1:
+        features = run.job.run_options.configs[0].features
+        why = "IDs of drawn plates are declared from the second frame on"
+        if not isinstance(landmarks, DrawnSet):
+            why = (
+                f"in a single frame an ID needs a score of {features.declare_alone:g} "
+                f"(features.declare_alone), in a log of more frames {features.declare:g} from its "
+                "second frame on; `sonarrec overlay` shows what is likely"
+            )
+        yield f"no landmark declared: {why}"
         return
-    if alone:
-        yield Advice(_of_one_frame(run))
-        return
-    # Nothing is recognised: what may be wrong, the likeliest first.
-    wide = f"{disc_width_px(fan, landmarks):.0f} px wide here"
-    suspects = [f"geometry ({_preview(run)})"]
-    if not _only_this_way_up(run.first):
-        again = _again(run, "--range-order", log.sonar.other_range_order)
-        suspects.insert(0, f"range order ({again})")
-    if run.poses is not None:
-        suspects.insert(0, f"the poses {run.poses.name} (run once without them)")
-    if "topic" in log.reading():
-        suspects.insert(0, f"topic ({command_line('info', log.path)} has all)")
-    if _narrows(run.first):
-        again = _again(run, "--layout", "fan")
-        suspects.insert(0, f"layout (the corners are empty, as those of a fan are: {again})")
+    suspects = list[str]()
     if inverted:
         how = "dark echoes on white; `mogrify -negate *.png` in a copy of them mends it"
-        suspects.insert(0, f"whether the pictures, which are bright, are inverted ({how})")
-    scale = "linear" if log.reading().get("pixel_scale") == "log" else "log"
-    yield Advice(f"no landmark declared; check {', '.join(suspects)}")
-    yield Advice(
-        f"then landmark set and size ({_landmarks(run)}; a landmark of "
-        f"{landmarks.name} is {wide}) and level ({_again(run, '--pixel-scale', scale)})"
+        suspects.append(f"whether the pictures, which are bright, are inverted ({how})")
+    if _narrows(run.first):
+        again = _again(run, "--layout", "fan")
+        suspects.append(f"layout (the corners are empty, as those of a fan are: {again})")
+    if "topic" in reading:
+        suspects.append(f"topic ({command_line('info', log.path)} has all)")
+    if run.poses is not None:
+        suspects.append(f"the poses {run.poses.name} (run once without them)")
+    if not _only_this_way_up(run.first):
+        again = _again(run, "--range-order", log.sonar.other_range_order)
+        suspects.append(f"range order ({again})")
+    suspects.append(f"geometry ({_preview(run)})")
+    yield f"no landmark declared; check {', '.join(suspects)}"
+    scale = "linear" if reading.get("pixel_scale") == "log" else "log"
+    level = f"level ({_again(run, '--pixel-scale', scale)})"
+    yield (
+        f"then landmark set and size ({_landmarks(run)}; a landmark of {landmarks.name} is "
+        f"{width_px:.0f} px wide here) and {level}"
     )
 
 
-def _is_bright(run: PreparedRun) -> bool:
-    """Whether the first pictures are brighter in their fan than those of a sonar."""
-    levels = [
-        frame.pixels[fan_mask(run.fan) > 0] if frame.polar is None else frame.pixels
-        for frame in run.first
-    ]
-    return float(np.mean([pixels.mean() for pixels in levels])) > BRIGHT
+# What the pictures tell
+
+
+def contradiction(first: Sequence[Frame], sonar: Sonar) -> str:
+    """Whether there are echoes outside of the stated fan, or it exceeds the picture, with the keys
+    to look at: clear cases only; else empty, as it is without fan images. sonar: the geometry as
+    stated."""
+    if not first or first[0].polar is not None:
+        return ""
+    fan = first[0].fan
+    outside, share, upside_down = _echoes_outside(first)
+    if share > _OUTSIDE and outside > _OUTSIDE / 10:
+        text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
+        if upside_down < _OUTSIDE / 3:
+            option = f"--range-order {sonar.other_range_order}"
+            return f"{text}, but none once it is upside down: try {option}"
+        if share > _FILLED:
+            return f"{text} (is it polar, --layout polar?)"
+        keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"
+        return f"{text} (unless it is text or a panel, look at {keys})"
+    cut = _share_cut(fan)
+    if cut > _CUT:
+        return (
+            f"{cut:.0%} of the stated fan lies outside of the picture, {fan.columns} x "
+            f"{fan.rows} pixels (is it polar, --layout polar? else look at metres_per_pixel "
+            "and apex_px)"
+        )
+    return ""
+
+
+def _only_this_way_up(first: Sequence[Frame]) -> bool:
+    """Whether the echoes fill the stated fan, and would not if they were upside down."""
+    if first[0].polar is not None:
+        return False
+    _, share, upside_down = _echoes_outside(first)
+    return share < _OUTSIDE / 3 and upside_down > _OUTSIDE
+
+
+def _echoes_outside(first: Sequence[Frame]) -> tuple[float, float, float]:
+    """(share of the picture outside of the stated fan; share of that which holds echoes; the same
+    if the picture is upside down). first: fan images."""
+    picture = np.mean([frame.pixels for frame in first], axis=0)
+    outside = fan_mask(first[0].fan) == 0
+    return float(np.mean(outside)), _echoes(picture[outside]), _echoes(picture[::-1][outside])
 
 
 def _narrows(first: Sequence[Frame]) -> bool:
@@ -133,52 +192,13 @@ def _narrows(first: Sequence[Frame]) -> bool:
     return False
 
 
-def _only_this_way_up(first: Sequence[Frame]) -> bool:
-    """Whether the echoes fill the stated fan, and would not if they were upside down."""
-    if first[0].polar is not None:
-        return False
-    outside, picture = fan_mask(first[0].fan) == 0, np.mean([f.pixels for f in first], axis=0)
-    return _echoes(picture[outside]) < _OUTSIDE / 3 and _echoes(picture[::-1][outside]) > _OUTSIDE
-
-
-def _of_one_frame(run: PreparedRun) -> str:
-    """Why nothing may be declared in the only frame of a run."""
-    features = run.job.run_options.configs[0].features
-    if isinstance(run.landmarks, DrawnSet):
-        return "no landmark declared: IDs of drawn plates are declared from the second frame on"
-    return (
-        f"no landmark declared: in a single frame an ID needs a score of {features.declare_alone:g}"
-        f" (features.declare_alone), in a log of more frames {features.declare:g} from its second "
-        "frame on; `sonarrec overlay` shows what is likely"
-    )
-
-
-def contradictions(first: Sequence[Frame], sonar: Sonar) -> list[str]:
-    """A line, with the keys to look at, if there are echoes outside of the stated fan, or if it
-    exceeds the picture: clear cases only. None without fan images. sonar: the geometry as
-    stated."""
-    if not first or first[0].polar is not None:
-        return []
-    fan, picture = first[0].fan, np.mean([frame.pixels for frame in first], axis=0)
-    outside = fan_mask(fan) == 0
-    share = _echoes(picture[outside])
-    if share > _OUTSIDE and np.mean(outside) > _OUTSIDE / 10:
-        text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
-        if _echoes(picture[::-1][outside]) < _OUTSIDE / 3:
-            option = f"--range-order {sonar.other_range_order}"
-            return [f"{text}, but none once it is upside down: try {option}"]
-        if share > _FILLED:
-            return [f"{text} (is it polar, --layout polar?)"]
-        keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"
-        return [f"{text} (unless it is text or a panel, look at {keys})"]
-    cut = _share_cut(fan)
-    if cut > _CUT:
-        return [
-            f"{cut:.0%} of the stated fan lies outside of the picture, {fan.columns} x "
-            f"{fan.rows} pixels (is it polar, --layout polar? else look at metres_per_pixel "
-            "and apex_px)"
-        ]
-    return []
+def _is_bright(run: PreparedRun) -> bool:
+    """Whether the first pictures are brighter in their fan than those of a sonar."""
+    levels = [
+        frame.pixels[fan_mask(run.fan) > 0] if frame.polar is None else frame.pixels
+        for frame in run.first
+    ]
+    return float(np.mean([pixels.mean() for pixels in levels])) > BRIGHT
 
 
 def _echoes(grey: FloatArray) -> float:
@@ -197,28 +217,13 @@ def _share_cut(fan: Fan) -> float:
     return float(np.mean((column < -1) | (column > fan.columns) | (row < -1) | (row > fan.rows)))
 
 
-def _too_narrow(fan: Fan, landmarks: LandmarkSet) -> bool:
-    """Whether a disc in the middle of the window has too few pixels to be read."""
-    return disc_width_px(fan, landmarks) < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
-
-
-def _hardly_seen(fan: Fan, landmarks: LandmarkSet) -> str | None:
-    """Why no landmark can be read in the middle of the window; None if it can be."""
-    middle = (fan.range_min_m + fan.range_max_m) / 2
-    low_deg = math.degrees(math.asin(min(floor_depth(fan) / middle, 1.0)))
-    where = f"a landmark of {landmarks.name} in mid-window is"
-    if _too_narrow(fan, landmarks):
-        wide = f"{disc_width_px(fan, landmarks):.0f} px wide, and needs {LEAST_WIDTH_PX}"
-        return f"{where} {wide}; check range and scale: are all in metres?"
-    if low_deg < LEAST_GRAZING_DEG:
-        return f"{where} seen {low_deg:.2g} deg above the floor; check range and height"
-    return None
+# What the stated geometry tells
 
 
 def _unlikely(sonar: Sonar, fan: Fan) -> Iterator[str]:
     """What of the stated height, tilt and frame rate can hardly be so."""
     height, tilt, hz = sonar.height_m, sonar.tilt_deg, sonar.frame_rate_hz
-    if height is not None and tilt is None and fan.tilt_deg > STEEP_TILT_DEG:
+    if height and tilt is None and fan.tilt_deg > STEEP_TILT_DEG:
         yield (
             f"height {height:g} m puts the sonar almost straight above the floor "
             f"(tilt {fan.tilt_deg:.0f} deg); is it in metres?"
@@ -230,12 +235,13 @@ def _unlikely(sonar: Sonar, fan: Fan) -> Iterator[str]:
                 f"height {height:g} m at a tilt of {tilt:g} deg puts the floor beyond "
                 f"range_max_m = {fan.range_max_m:g}; is the height in metres?"
             )
-    axis_m = height / math.sin(math.radians(tilt)) if height and tilt else math.inf
-    if axis_m < fan.range_min_m:
-        yield (
-            f"with tilt_deg = {tilt:g} and height_m = {height:g} the sonar's axis meets the floor "
-            f"at {axis_m:.3g} m, nearer than range_min_m = {fan.range_min_m:g}; check the three"
-        )
+        axis_m = height / math.sin(math.radians(tilt)) if tilt else math.inf
+        if axis_m < fan.range_min_m:
+            yield (
+                f"with tilt_deg = {tilt:g} and height_m = {height:g} the sonar's axis meets the "
+                f"floor at {axis_m:.3g} m, nearer than range_min_m = {fan.range_min_m:g}; check "
+                "the three"
+            )
     most_hz = min(MOST_HZ, SOUND_M_S / 2 / fan.range_max_m)
     if hz is not None and hz > most_hz:
         yield (
@@ -255,6 +261,9 @@ def _in_radians(sonar: Sonar, fan: Fan) -> Iterator[str]:
                 f"{name} is {angle:.3g}, which is very small; if it is in radians, write "
                 f"{math.degrees(angle):.3g}"
             )
+
+
+# Commands to try
 
 
 def _again(run: PreparedRun, *options: str) -> str:

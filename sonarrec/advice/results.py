@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from sonarrec.advice.readings import of_claims
-from sonarrec.advice.truth import counted_as_missed, of_truth, outside, unread_columns
+from sonarrec.advice.truth import of_positions, of_truth, unread_columns
 from sonarrec.errors import Advice, SonarrecError, command_line
 from sonarrec.evaluation.evaluate import LogTables, LogToScore
 from sonarrec.evaluation.rows import ScoringOptions, match
@@ -30,8 +30,7 @@ def of_results(log: LogToScore, tables: LogTables, options: ScoringOptions) -> I
     if unread := unread_columns(table):
         yield Advice(unread, grave=True)
     check = _check_of(table.path, results, options)
-    yield from outside(table, results, truth, check)
-    yield from counted_as_missed(table, results, truth, options.min_visible, check)
+    yield from of_positions(table, results, truth, check, options.min_visible)
     yield from (Advice(line) for folder in log.results for line in rerun_left(folder))
     yield from _of_clock(results)
 

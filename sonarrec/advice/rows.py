@@ -6,20 +6,14 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import combinations, pairwise
 from math import dist
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from sonarrec.advice.truth import (
-    floor_position,
-    of_another_geometry,
-    overlaps,
-    sparse,
-    unread_columns,
-)
+from sonarrec.advice.truth import floor_position, of_another_geometry, sparse, unread_columns
 from sonarrec.arrays import IntArray
 from sonarrec.errors import Diagnostics, SonarrecError, number_of
 from sonarrec.landmarks import LandmarkSet
@@ -60,9 +54,7 @@ def check_truth(
         raise SonarrecError(f"{path}: its log column does not name {log.name}; it has {named}")
     lines = np.fromiter(line_numbers(path), np.int64, len(table.keys))
     line, landmark, visible = lines[row].tolist(), table.landmark[row], table.visible[row]
-    numbers, frame, stretch, faults = _frames(table, row, line, log)
-    if few := sparse(np.searchsorted(numbers, frame[frame >= 0]), numbers):
-        faults.append(Fault(line[0], "sparse", few))
+    frame, stretch, faults = _frames(table, row, line, log)
     if unread := unread_columns(table):
         faults.append(Fault(1, "columns", unread.removeprefix(f"{path}: ")))
     known = ", ".join(map(str, landmarks.ids))
@@ -88,16 +80,9 @@ def check_truth(
         floor = floor_position(fan, range_m, bearing_deg)
         share = share_in_image(fan, range_m, bearing_deg, radius_m)
         outside = outside_image(fan, range_m, bearing_deg, radius_m)
-        # Something else may hide a landmark too, so `visible` may be less.
-        for n in np.flatnonzero(outside | ((visible <= 1) & (visible > share + SLACK))):
-            kind = "visible"
-            text = f"visible {visible[n]:.2f}, but {share[n]:.2f} of the disc is in the fan image"
-            if outside[n]:
-                where = f"range {range_m[n]:.2f} m, bearing {bearing_deg[n]:.1f} deg"
-                kind, text = "outside", f"the whole disc is outside the fan ({where})"
-            faults.append(Fault(line[n], kind, text))
-        columns = (landmark, frame, stretch, range_m, bearing_deg, floor, share)
-        rows = [_Row(*c) for c in zip(line, *(v.tolist() for v in columns), strict=True)]
+        columns = (landmark, visible, frame, stretch, range_m, bearing_deg, floor, share, outside)
+        rows = [_Row(*cells) for cells in zip(line, *(c.tolist() for c in columns), strict=True)]
+        faults += _outside(rows)
         faults += _overlaps(rows, radius_m)
         faults += _changes(rows, radius_m)
         faults += _jumps(rows, radius_m, max_pan_deg)
@@ -110,9 +95,8 @@ def check_truth(
 
 def _frames(
     table: TruthTable, row: IntArray, line: list[int], log: Log
-) -> tuple[IntArray, IntArray, IntArray, list[Fault]]:
-    """(the numbers of all frames; those of these rows, -1 if the log has no such frame; their
-    stretches; the faults)."""
+) -> tuple[IntArray, IntArray, list[Fault]]:
+    """(the frames of these rows, -1 if the log has no such frame; their stretches; the faults)."""
     of_log = [(f.index, f.timestamp_ns, f.stretch) for f in log]
     numbers, stamps, stretch = np.array(of_log, dtype=np.int64).T
     keys, last = table.keys[row], int(numbers.max())
@@ -133,21 +117,27 @@ def _frames(
         elif 0 <= keys[n] <= last:
             text = f"frame {keys[n]} of the log cannot be read"
         faults.append(Fault(line[n], "frame", text))
-    return numbers, frames, stretch[np.searchsorted(numbers, frames)], faults
+    index = np.searchsorted(numbers, frames)
+    if few := sparse(index[frames >= 0], numbers):
+        faults.append(Fault(line[0], "sparse", few))
+    return frames, stretch[index], faults
 
 
 class _Row(NamedTuple):
     """A row with a position. frame: -1 if the log has no such frame. stretch: of that frame. floor:
-    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image."""
+    m on the floor, to the right and ahead of the sonar. share: of the disc in the fan image.
+    outside: whether all of it is clearly outside."""
 
     line: int
     landmark: int
+    visible: float
     frame: int
     stretch: int
     range_m: float
     bearing_deg: float
     floor: list[float]
     share: float
+    outside: bool
 
 
 def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
@@ -158,17 +148,26 @@ def _by_frame(rows: Iterable[_Row]) -> dict[int, list[_Row]]:
     return {frame: groups[frame] for frame in sorted(groups) if frame >= 0}
 
 
-def _overlaps(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:
+def _outside(rows: Iterable[_Row]) -> Iterator[Fault]:
+    """Discs of which the fan image shows nothing, or less than is stated."""
+    for row in rows:
+        if row.outside:
+            where = f"range {row.range_m:.2f} m, bearing {row.bearing_deg:.1f} deg"
+            yield Fault(row.line, "outside", f"the whole disc is outside the fan ({where})")
+        elif row.share + SLACK < row.visible <= 1:  # less may be: something else hides it
+            text = f"visible {row.visible:.2f}, but {row.share:.2f} of the disc is in the fan image"
+            yield Fault(row.line, "visible", text)
+
+
+def _overlaps(rows: Iterable[_Row], radius_m: float) -> Iterator[Fault]:
     """Two landmarks of one frame, of equal or different ID, that would lie on each other."""
-    frame = np.array([row.frame for row in rows], np.int64)
-    floor = np.array([row.floor for row in rows]).reshape(-1, 2)
-    for first, later in zip(*overlaps(frame, floor, radius_m), strict=True):
-        a, b = rows[first], rows[later]
-        distance = dist(a.floor, b.floor)
-        # The same ID in the same position is a repeated row, which is another fault.
-        if a.frame >= 0 and (distance or a.landmark != b.landmark):
-            text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
-            yield Fault(b.line, "overlap", text)
+    for group in _by_frame(rows).values():
+        for a, b in combinations(group, 2):
+            distance = dist(a.floor, b.floor)
+            # The same ID in the same position is a repeated row, which is another fault.
+            if distance < radius_m and (distance or a.landmark != b.landmark):
+                text = f"lies on the landmark of line {a.line}, {distance:.2f} m from its centre"
+                yield Fault(b.line, "overlap", text)
 
 
 def _changes(rows: Sequence[_Row], radius_m: float) -> Iterator[Fault]:

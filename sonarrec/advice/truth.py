@@ -74,29 +74,39 @@ def unchecked(table: TruthTable, name: str) -> str:
     )
 
 
-def outside(table: TruthTable, log: ReadLog, truth: Truth, check: str = "") -> Iterator[Advice]:
-    """Whether positions on one log lie outside of its image; grave if many do.
-
-    truth: as matched to the log. check: the command that checks the truth of this log.
-    """
-    text = f"lie outside the image of {log.name}"
-    wrong = outside_of_log(log, truth)
-    grave = bool(np.sum(wrong) > MOST_OUTSIDE * len(wrong))
-    yield from _positions(table, log, truth, wrong, text, check, grave)
-
-
-def counted_as_missed(
-    table: TruthTable, log: ReadLog, truth: Truth, min_visible: float, check: str = ""
+def of_positions(
+    table: TruthTable, log: ReadLog, truth: Truth, check: str = "", min_visible: float | None = None
 ) -> Iterator[Advice]:
-    """Whether rows count as missed without need: the image's edge cuts their discs but `visible`
-    counts (1 where it is not stated), or they lie on another row.
+    """On positions on one log that lie outside of its image; grave if many do. If only few do, also
+    on rows that count as missed without need.
 
-    truth, check: as in `outside`, which tells of discs that lie there. min_visible: from which
-    share in view a landmark counts.
+    truth: as matched to the log. check: the command that checks the truth of this log. min_visible:
+    from which share in view a landmark counts; None: no row counts as missed.
     """
     beyond = outside_of_log(log, truth)
-    if log.fan is None or truth.position is None or np.sum(beyond) > MOST_OUTSIDE * len(beyond):
-        return
+    wrong = {f"lie outside the image of {log.name}": beyond}
+    many = bool(np.sum(beyond) > MOST_OUTSIDE * len(beyond))
+    if min_visible is not None and not many:
+        wrong |= _counted_as_missed(log, truth, beyond, min_visible)
+    for what, rows in wrong.items():
+        if rows.any():
+            frames = log.frame[np.unique(truth.frame_index[rows])].tolist()
+            where = f"{'frames' if frames[1:] else 'frame'} {listed(frames, MOST_FRAMES)}"
+            how = f"; {check} has their lines" if check else ""
+            text = f"{np.sum(rows)} of {len(rows)} positions {what}, in {where}{how}"
+            yield Advice(f"{table.path}: {text}", grave=many)
+
+
+def _counted_as_missed(
+    log: ReadLog, truth: Truth, beyond: BoolArray, min_visible: float
+) -> dict[str, BoolArray]:
+    """(T,) which rows count as missed without need, by what is wrong with them: the image's edge
+    cuts their discs but `visible` counts (1 where it is not stated), or they lie on another row.
+
+    beyond: (T,) which discs lie outside of the image, see above.
+    """
+    if log.fan is None or truth.position is None:
+        return {}
     (range_m, bearing_deg), radius_m = polar_from_plane(truth.position), log.landmarks.radius_m
     floor = floor_position(log.fan, range_m, bearing_deg)
     # Shares are slow, so only where a side of the disc is not in the image.
@@ -107,47 +117,19 @@ def counted_as_missed(
     share = share_in_image(log.fan, range_m[edge], bearing_deg[edge], radius_m)
     cut, double = np.zeros((2, len(beyond)), bool)
     cut[edge] = (share < min_visible) & (truth.visible[edge] > share + SLACK)
-    text = (
+    first, later = equal_pairs(truth.frame_index, truth.frame_index)
+    near = np.linalg.norm(floor[first] - floor[later], axis=1) < radius_m
+    double[later[near & (first < later)]] = True
+    return {
         f"have less than {min_visible:g} of the disc in the image of {log.name} but no `visible` "
-        "that says so, and count as missed"
-    )
-    yield from _positions(table, log, truth, cut, text, check)
-    double[overlaps(truth.frame_index, floor, radius_m)[1]] = True
-    text = f"lie on another row of {log.name}, and one of the two counts as missed"
-    yield from _positions(table, log, truth, double, text, check)
-
-
-def _positions(
-    table: TruthTable,
-    log: ReadLog,
-    truth: Truth,
-    wrong: BoolArray,
-    text: str,
-    check: str,
-    grave: bool = False,
-) -> Iterator[Advice]:
-    """How many positions are (T,) wrong, and where; if any is."""
-    if wrong.any():
-        frames = log.frame[np.unique(truth.frame_index[wrong])].tolist()
-        where = f"{'frames' if frames[1:] else 'frame'} {listed(frames, MOST_FRAMES)}"
-        how = f"; {check} has their lines" if check else ""
-        yield Advice(
-            f"{table.path}: {np.sum(wrong)} of {len(wrong)} positions {text}, in {where}{how}",
-            grave=grave,
-        )
+        "that says so, and count as missed": cut,
+        f"lie on another row of {log.name}, and one of the two counts as missed": double,
+    }
 
 
 def floor_position(fan: Fan, range_m: FloatArray, bearing_deg: FloatArray) -> FloatArray:
     """(n, 2) m on the floor, to the right and ahead; nearer than the floor is straight below."""
     return plane_from_polar(np.nan_to_num(ground_range(fan, range_m)), bearing_deg)
-
-
-def overlaps(frame: IntArray, floor: FloatArray, radius_m: float) -> tuple[IntArray, IntArray]:
-    """The pairs of (n,) rows, first and later one, of one frame that are nearer than a radius."""
-    first, later = equal_pairs(frame, frame)
-    near = np.linalg.norm(floor[first] - floor[later], axis=1) < radius_m
-    near &= first < later
-    return first[near], later[near]
 
 
 def sparse(index: IntArray, frame: IntArray) -> str:
@@ -184,6 +166,13 @@ def of_another_geometry(table: TruthTable, rows: IntArray, fan: Fan | None, name
     if np.nanmedian(exchanged_px) <= MOST_DIFFERENCE_PX:
         return (
             f"x_px and y_px are exchanged, as range_m and bearing_deg tell in {name}; rename them"
+        )
+    factor = float(np.nanmedian(stated / table.pixel[rows]))
+    scaled_px = np.linalg.norm(factor * table.pixel[rows] - stated, axis=1)
+    if np.nanmedian(scaled_px) <= MOST_DIFFERENCE_PX:
+        return (
+            f"x_px and y_px would have to be {factor:.3g} times as large to agree with range_m and "
+            f"bearing_deg in {name}; were they measured in pictures of another size?"
         )
     return (
         f"{wrong} of {len(difference_px)} rows have x_px, y_px and range_m, bearing_deg that "

@@ -32,7 +32,6 @@ PAPER_MIN_VISIBLE = 0.5
 """The share of a disc in view from which protocol paper counts it. TP + FN of Tables 4 and 5 are
 those of frames with its centre, or half the disc, in view."""
 
-
 SHORT = 5
 """Frames; a log of fewer may be shorter than the tolerance."""
 
@@ -312,13 +311,14 @@ def unit_of_frames(passes: Table, stretch: IntArray) -> IntArray:
 # Right and false claims
 
 
-def equal_pairs(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
-    """Indices of all pairs of an a and a b that are equal, in the order of a, then of b."""
+def equal_pairs(a: IntArray, b: IntArray, within: int = 0) -> tuple[IntArray, IntArray]:
+    """Indices of all pairs of an a and a b that differ by at most `within`, by a, then by b."""
     order = np.argsort(b, kind="stable")
-    low, high = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
-    first = np.repeat(np.arange(len(a)), high - low)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
-    return first, order[low[first] + within]
+    low = np.searchsorted(b[order], a - within)
+    count = np.searchsorted(b[order], a + within, "right") - low
+    first = np.repeat(np.arange(len(a)), count)
+    nth = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+    return first, order[low[first] + nth]
 
 
 def nearest_truth(claims: Table, log: Matched, same: str) -> IntArray:

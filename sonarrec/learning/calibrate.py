@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sonarrec.advice.truth import FEWEST, outside, unchecked
+from sonarrec.advice.truth import FEWEST, of_positions, unchecked
 from sonarrec.arrays import BoolArray, IntArray
 from sonarrec.config import Config
 from sonarrec.errors import (
@@ -196,7 +196,7 @@ def _lesson(
         diagnostics.problem(
             *(f"{table.path}: {doubt} of {name}; is it its truth? ({again})" for doubt in doubts)
         )
-        diagnostics.advise(outside(table, tracks, truth, again))
+        diagnostics.advise(of_positions(table, tracks, truth, again))
         check.report_rows(diagnostics, name, truth.rows, truth.between)
         if truth.unprocessed:
             diagnostics.problem(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sonarrec.advice.results import of_results
-from sonarrec.advice.truth import counted_as_missed, outside, sparse
+from sonarrec.advice.truth import of_positions, sparse
 from sonarrec.errors import SonarrecError
 from sonarrec.evaluation.evaluate import evaluate_logs
 from sonarrec.evaluation.rows import ScoringOptions
@@ -76,7 +76,7 @@ def test_many_positions_outside_the_image_are_a_problem(
     basin = load_landmarks("basin")
     log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
     table = read_truth(path)
-    (line,) = outside(table, log, match_truth(table, log))
+    (line,) = of_positions(table, log, match_truth(table, log))
     assert f"{count} of 40 positions lie" in line.text
     assert line.grave == is_problem
 
@@ -98,7 +98,7 @@ def test_rows_that_count_as_missed_without_need_are_told(
     basin, frame = load_landmarks("basin"), np.arange(40)
     log: Any = SimpleNamespace(name="log", landmarks=basin, fan=fan, frame=frame, timestamp_ns=None)
     table = read_truth(path)
-    *cut, double = counted_as_missed(table, log, match_truth(table, log), 0.9)
+    *cut, double = of_positions(table, log, match_truth(table, log), min_visible=0.9)
     assert len(cut) == (not stated)
     assert all("12 of 42" in line.text for line in cut)
     assert "2 of 42" in double.text

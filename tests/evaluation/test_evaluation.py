@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sonarrec.evaluation.rows import equal_pairs
 from sonarrec.evaluation.write import Evaluation
 from sonarrec.landmarks import load_landmarks
 from sonarrec.reports.screen import rate, screen
@@ -347,3 +348,13 @@ def test_run_toml_landmarks_set_ids_and_gate(tmp_path: Path) -> None:
     assert found.counts.ids == (9, 8)
     assert counts(scored(found, "strict"), 1) == (1, 0, 0, 0)
     assert counts(scored(found, "strict"), 0) == (0, 1, 0, 0)
+
+
+NUMBERS = st.lists(st.integers(-5, 5), max_size=8)
+
+
+@given(a=NUMBERS, b=NUMBERS, within=st.integers(0, 3))
+def test_pairs_are_those_of_every_a_with_every_b(a: list[int], b: list[int], within: int) -> None:
+    pairs = zip(*equal_pairs(np.array(a, int), np.array(b, int), within), strict=True)
+    expected = [(i, j) for i, x in enumerate(a) for j, y in enumerate(b) if abs(x - y) <= within]
+    assert sorted(pairs) == expected

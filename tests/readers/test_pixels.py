@@ -190,6 +190,12 @@ def test_16_bit_amplitudes_are_found_by_their_speckle_and_noted(tmp_path, median
     assert scale_of(tmp_path, [image], pixel_scale="linear") == ("linear", [])
 
 
+@pytest.mark.parametrize(("levels", "is_told"), [(255, True), (15, False), (1000, False)])
+def test_grey_levels_in_deeper_pixels_are_told(tmp_path, levels, is_told):
+    _, notes = scale_of(tmp_path, [np.rint(simulated() * levels).astype(np.uint16)])
+    assert any("full_scale = 255" in note for note in notes) == is_told
+
+
 @pytest.mark.parametrize("part", [1, 1 / 8])
 def test_16_bit_logarithms_stay_linear_and_dim_ones_are_noted(tmp_path, part):
     image = np.rint(simulated() * 65535 * part).astype(np.uint16)

@@ -154,10 +154,11 @@ def test_frames_without_a_pose_are_told_once(pings):
     assert run["input"]["problems"] == [problem.removeprefix("sonarrec: ")]
 
 
-@pytest.mark.parametrize("factor", [-1.0, math.pi / 180], ids=["to the left", "radians"])
+@pytest.mark.parametrize("factor", [-1.0, math.pi / 180, 0.5, 0.9, 1.1, 2.0])
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))
-    assert "note: odd.csv" in told.stderr
+    assert ("note: odd.csv" in told.stderr) == (factor not in (0.9, 1.1))
+    assert (f"{1 / factor:.2g} times as far" in told.stderr) == (factor not in (-1.0, 0.9, 1.1))
 
 
 @pytest.mark.parametrize("late_s", [-2.0, 0.0, 2.0])

@@ -281,6 +281,12 @@ def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
         levels = _of_map(levels, pictures, stated)
     if sonar.pixel_scale is not None:
         return levels
+    deep = [f.pixels for f in first if f.pixels is not None and f.pixels.dtype != np.uint8]
+    if deep and all(map(_within_8_bits, deep)):
+        stated.note(
+            f"{deep[0].dtype} pixels hold whole numbers up to 255, and are read as amplitudes; if "
+            'they are grey levels, write pixel_scale = "linear" and full_scale = 255 in sonar.toml'
+        )
     floating = [(f, f.pixels) for f in first if f.pixels is not None and f.pixels.dtype.kind == "f"]
     if floating:  # what most of them hold, echoes in decibels or others, decides the scale
         negative = [below_zero(pixels) > _MOSTLY for _, pixels in floating]
@@ -382,6 +388,16 @@ def _of_map(
         how = "of no known colour map, and read by their luminance"
     stated.note(f"colours {since}{how}; colour_map in sonar.toml states another")
     return replace(levels, colour_map=name, in_colour=True)
+
+
+def _within_8_bits(pixels: np.ndarray) -> bool:
+    """Whether deeper pixels hold nothing but 0 to 255, and more than a few of these."""
+    return bool(
+        pixels.dtype.kind in "uif"
+        and _DISTINCT < pixels.max(initial=0) <= 255
+        and pixels.min(initial=0) == 0
+        and (pixels == np.rint(pixels)).all()
+    )
 
 
 def _in_colour(pixels: np.ndarray) -> bool:

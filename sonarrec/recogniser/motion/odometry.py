@@ -20,6 +20,9 @@ LEAST_COMPARED = 10
 # contradict.
 SHIFTS_NS = np.arange(-20, 21) * 250_000_000
 LEAST_MENDED, MENDED = 5, 0.75
+MOST_FACTOR = (
+    1.5  # between the rotations of the table and of the images, over all that were compared
+)
 
 
 class Odometry:
@@ -35,6 +38,8 @@ class Odometry:
         self._span: tuple[int, int] | None = None
         self._frames = self._without_pose = self._compared = 0
         self._differing = np.zeros(len(SHIFTS_NS), np.int64)
+        # Sums of the table's pans, deg, and of those by the images in the same direction.
+        self._by_table = self._by_images = 0.0
 
     def begin_stretch(self) -> None:
         """No image before the next one is compared with it; poses may give its motion."""
@@ -65,6 +70,8 @@ class Odometry:
             larger = max(abs(by_poses.pan_deg), abs(pan_deg))
             if match >= MIN_MATCH and larger >= LEAST_PAN_DEG:
                 self._compared += 1
+                self._by_table += abs(by_poses.pan_deg)
+                self._by_images += pan_deg * np.sign(by_poses.pan_deg)
                 assert self._poses is not None
                 assert before is not None
                 times_ns = np.array([[before], [timestamp_ns]]) + SHIFTS_NS
@@ -92,8 +99,10 @@ class Odometry:
             )
         differing = int(self._differing[SHIFTS_NS == 0][0])
         least = int(self._differing.min())
-        mended = differing - least
-        if self._compared >= LEAST_COMPARED and differing > self._compared / 2:
+        mended, factor = differing - least, self._by_images / max(self._by_table, 1e-9)
+        enough = self._compared >= LEAST_COMPARED
+        scaled = enough and factor > 0 and not 1 / MOST_FACTOR < factor < MOST_FACTOR
+        if enough and differing > self._compared / 2 and not scaled:
             yaw = "yaw is in degrees, positive to the right"
             if poses.axes == "ahead, left":
                 yaw = "z of a pose points up, so its yaw is positive to the left (REP 103)"
@@ -109,5 +118,11 @@ class Odometry:
                 f"its rotations contradict those of the images in {differing} frames, and in "
                 f"{least} if its times were {abs(shift):g} s {'later' if shift < 0 else 'earlier'};"
                 " is it the frames' clock?",
+                about=poses.name,
+            )
+        elif scaled:
+            diagnostics.note(
+                f"in {self._compared} frames the images rotate {factor:.2g} times as far as it "
+                "says; is its yaw the whole angle, in degrees, and the field of view right?",
                 about=poses.name,
             )

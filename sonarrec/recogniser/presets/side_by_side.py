@@ -183,7 +183,13 @@ class SideBySide:
         yield from self._final(0)
 
     def report(self, diagnostics: Diagnostics) -> None:
-        """Report what is wrong with the poses of the frames so far."""
+        """Report what is wrong with the frames so far, and with their poses."""
+        levels = self._levels
+        if 0 < levels.black < levels.seen:
+            diagnostics.note(
+                f"{levels.black} of {levels.seen} frames are black, the first of them "
+                f"{levels.first_black}; landmarks in view there count as missed"
+            )
         for stages in self._stages:
             stages.odometry.report(diagnostics)
 

@@ -53,14 +53,16 @@ LIFTS = _lifts()
 class Levels:
     """Finds the saturated pictures of one log, and restores their levels.
 
-    radius_m: of the landmarks. seen, saturated: numbers of pictures so far.
+    radius_m: of the landmarks. seen, saturated, black: numbers of pictures so far, the last of
+    those without an echo; first_black: the index of the first such frame.
     """
 
     def __init__(self, radius_m: float) -> None:
         self._sigma_m = SURROUNDINGS * radius_m
         self._shown_of: tuple[Fan, tuple[int, ...]] | None = None
         self._shown: ByteImage = np.empty((0, 0), np.uint8)  # of the pixels counted, the fan's
-        self.seen = self.saturated = 0
+        self.seen = self.saturated = self.black = 0
+        self.first_black: int | None = None
         self._causes = Counter[str]()
 
     @property
@@ -77,6 +79,9 @@ class Levels:
         for frame in frames:
             self.seen += 1
             up_to = self._echoes(frame)
+            if not up_to[-1]:
+                self.black += 1
+                self.first_black = frame.index if self.first_black is None else self.first_black
             if (first := saturated_from(up_to)) is not None:
                 self.saturated += 1
                 self._causes[_cause(up_to)] += 1
