@@ -116,6 +116,23 @@ def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
     assert {*here.rglob("*")} == before
 
 
+@pytest.mark.parametrize("log", [".", "./", "./.", "..", "../", "in/..", "../dive/", "../dive/."])
+def test_the_current_folder_and_the_one_above_are_logs_and_results(
+    log: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "dive" / "in").mkdir()
+    monkeypatch.chdir(here / "dive" / "in" if log in ("..", "../") else here / "dive")
+    assert "dive: 4 frames" in sonarrec("run", log, "-o", here / "out").stdout
+    shutil.copy(here / "truth.csv", here / "dive" / "gt.csv")
+    shutil.copytree(here / "out" / "dive", here / "out2" / "dive")
+    (here / "out2" / "dive" / "in").mkdir()
+    monkeypatch.chdir(here / "out2" / "dive" / Path.cwd().relative_to(here / "dive"))
+    assert "TPR" in sonarrec("evaluate", log, code=3).stdout
+    # "." of the run is not the current folder, though a log is there, too.
+    monkeypatch.chdir(here / "bare")
+    assert "TPR" in sonarrec("evaluate", here / "out" / "dive", code=3).stdout
+
+
 def test_a_geometry_under_another_name_is_told_by_info(here: Path) -> None:
     assert "sonar.toml.txt" in sonarrec("info", "bare").stdout
     (here / "bare" / "sonar.toml.txt").rename(here / "bare" / "sonar.toml")
