@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, plain_number
+from sonarrec.landmarks import BUILT_IN
 from sonarrec.tables.toml import parse_toml
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.rows import read_rows, write_rows
@@ -133,10 +134,78 @@ def test_the_current_folder_and_the_one_above_are_logs_and_results(
     assert "TPR" in sonarrec("evaluate", here / "out" / "dive", code=3).stdout
 
 
+@pytest.mark.usefixtures("here")
+def test_a_model_that_was_learned_from_the_log_it_is_scored_on_is_told() -> None:
+    log = sample_log(Path("pool"), 12)
+    rows = [row for row in read_rows(SAMPLE / "gt.csv") if int(row["frame"]) < 12]
+    write_rows(log / "gt.csv", rows)
+    shutil.copytree(log, "other")
+    sonarrec("calibrate", log, "-o", "m.toml")
+    for name in ("pool", "other"):
+        sonarrec("run", name, "--model", "m.toml", "-q")
+        results = f"sonarrec_out/{name}"
+        sonarrec("run", name, "-o", "plain", "-q")
+        for words in ((results,), ("--compare", f"plain/{name}", results)):
+            told = "learned from" in sonarrec("evaluate", *words).stdout
+            assert told == (name == "pool")
+
+
 def test_a_geometry_under_another_name_is_told_by_info(here: Path) -> None:
     assert "sonar.toml.txt" in sonarrec("info", "bare").stdout
     (here / "bare" / "sonar.toml.txt").rename(here / "bare" / "sonar.toml")
     assert "lacks" not in sonarrec("info", "bare").stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "frames", "meant"),
+    [
+        ("--config other/run.toml", "1:3", "height_m"),
+        ("--sonar other/run.toml", "1:3", "height_m"),
+        ("--config sonarrec_out/dive/run.toml", "1:3", ""),
+        ("--sonar sonarrec_out/dive/run.toml", "1:3", ""),
+        ("--sonar other/run.toml --height-m 0.68", "1:3", ""),
+        ("--sonar beams.toml", "1:3", "beams.toml is used"),
+    ],
+)
+def test_a_geometry_that_is_used_in_place_of_the_logs_own_is_told(
+    options: str, frames: str, meant: str, here: Path
+) -> None:
+    sample_log(here / "else", 3)
+    text = (here / "dive" / "sonar.toml").read_text()
+    (here / "else" / "sonar.toml").write_text(re.sub("height_m.*", "height_m = 0.9", text))
+    sonarrec("run", "else", "-q", "-o", "o")
+    (here / "o" / "else").rename(here / "other")
+    polar = text.replace('"fan"', '"polar"') + "bearings_deg = [-1, 0, 1]\n"
+    (here / "beams.toml").write_text(re.sub("field_of_view_deg.*\n", "", polar))
+    words = "run", "dive", *options.split(), "--frames", frames, "-q", "-o", here / "out"
+    told = sonarrec(*words, code=1 if "beams" in options else 0).stderr
+    assert ("log's own dive/sonar.toml" in told) == bool(meant)
+    assert meant in told
+
+
+@pytest.mark.parametrize(
+    ("name", "like", "meant"),
+    [
+        ("d1_sonar.toml", "sonar.toml", "d1.sonar.toml"),
+        ("d1_landmarks.toml", "landmarks.toml", "d1.landmarks.toml"),
+        ("landmark.toml", "landmarks.toml", "d1.landmarks.toml"),
+        ("d2_sonar.toml", "sonar.toml", ""),
+        ("d2.landmarks.toml", "landmarks.toml", ""),
+        ("d1.landmarks.toml", "landmarks.toml", ""),
+        ("d1_notes.txt", "truth.csv", ""),
+    ],
+)
+def test_a_file_of_the_log_under_another_name_is_told_where_one_is_found(
+    name: str, like: str, meant: str, here: Path
+) -> None:
+    shutil.move(here / "dive" / "000000.png", here / "d1.png")
+    shutil.move(here / "dive" / "sonar.toml", here / "sonar.toml")
+    shutil.copy(BUILT_IN / "basin.toml", here / "landmarks.toml")
+    shutil.copy(here / like, here / name)
+    (here / "landmarks.toml").unlink()
+    told = sonarrec("run", "d1.png", "-q", "-o", "out").stderr
+    assert ("call it" in told) == bool(meant)
+    assert meant in told
 
 
 @pytest.mark.parametrize(
