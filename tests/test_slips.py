@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -206,6 +207,26 @@ def test_a_file_of_the_log_under_another_name_is_told_where_one_is_found(
     told = sonarrec("run", "d1.png", "-q", "-o", "out").stderr
     assert ("call it" in told) == bool(meant)
     assert meant in told
+
+
+@pytest.mark.parametrize(
+    "name", ["gt.csv.txt", "GT.csv", "gt (1).csv", "dive.gt(2).csv", "Dive.gt.csv.csv"]
+)
+def test_a_truth_or_poses_under_another_name_are_told(name: str, here: Path) -> None:
+    words = "evaluate", "sonarrec_out/dive"
+    shutil.copy("truth.csv", here / "dive" / name)
+    assert f"{name} is there: call it dive.gt.csv" in refused(*words)
+    shutil.copy("truth.csv", here / "dive" / "gt.csv")
+    os.utime(here / "dive" / name, (2e9, 2e9))
+    assert f"{name} is newer" in sonarrec(*words, code=3).stderr
+    os.utime(here / "dive" / name, (1e9, 1e9))
+    assert name not in sonarrec(*words, code=3).stderr
+    for other in ("dive.gt_old.csv", "other.gt.csv", "gt_2.csv"):
+        (here / "dive" / name).replace(here / "dive" / other)
+        name = other
+        assert name not in sonarrec(*words, code=3).stderr
+    Path("dive/Poses.csv").write_text("timestamp,yaw\n0,0\n1,0\n")
+    assert "Poses.csv is there" in sonarrec("run", "dive", "-q", "-o", "out").stderr
 
 
 @pytest.mark.parametrize(

@@ -246,6 +246,23 @@ def misnamed(log: Path, name: str, used: Path | None = None) -> str:
     return ""
 
 
+def misspelt(log: Path, name: str, used: Path | None = None) -> str:
+    """A file in the log's folder that is called `name` but for capitals, a second ending or the
+    number of a download, as the end of a message; empty: none, or none newer than `used`."""
+    folder, own = log if log.is_dir() else log.parent, own_file(log, name).name
+    stem, _, ending = name.partition(".")
+    form = rf"({re.escape(log_name(log))}\.)?{stem}( ?\(\d+\))?\.{ending}(\.txt|\.{ending})?"
+    for path in folder.glob("*.*"):
+        is_similar = re.fullmatch(form, path.name, re.IGNORECASE) and path.is_file()
+        if path.name in (name, own) or not is_similar:
+            continue
+        if used is None:
+            return f"; {path.name} is there: call it {own}"
+        if path.stat().st_mtime_ns > used.stat().st_mtime_ns:
+            return f"; {path.name} is newer: call it {own} if it is meant, else delete it"
+    return ""
+
+
 def own_file(log: Path, name: str) -> Path:
     """Where the file `name` of this log alone would be: in the same folder, called LOG.name."""
     return log.parent / f"{log_name(log)}.{name}"

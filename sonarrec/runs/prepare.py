@@ -21,6 +21,7 @@ from sonarrec.readers.open import (
     Source,
     find_log,
     misnamed,
+    misspelt,
     names_a_log,
 )
 from sonarrec.readers.poses import POSES_FILE, read_poses
@@ -190,6 +191,8 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
         return log_options
     poses = source.companion(POSES_FILE)
     if poses is None:
+        if found := misspelt(source.location, POSES_FILE):
+            source.diagnostics.note(f"it has no poses{found}")
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
     return replace(log_options, odometry=poses)
