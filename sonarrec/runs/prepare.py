@@ -99,7 +99,9 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
         recogniser = SideBySide(
             configs, first.fan, landmarks, None if model is None else model.weights, poses
         )
-        log.diagnostics.note(*about_beams, *([] if poses is None else poses.too_fast()))
+        log.diagnostics.note(
+            *about_beams, *([] if poses is None else [*poses.doubts, *poses.too_fast()])
+        )
         others = [differs]
         if file is None or file == source.companion(SONAR_FILE):
             others.append(misnamed(source.location, SONAR_FILE, file))
