@@ -116,10 +116,11 @@ def find_truths(
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     if truths is None:
-        line = f"each of {len(pairs)} logs has its own ground truth, the first "
-        if len(pairs) == 1:
-            line = f"{pairs[0].results}: next to its log lies the ground truth "
-        diagnostics.note(f"{line}{pairs[0].ground_truth}")
+        line, truth = "scored by the ground truth next to", pairs[0].ground_truth
+        one = f"{pairs[0].results}: {line} its log, {truth}"
+        diagnostics.note(
+            f"{len(pairs)} logs, each {line} it, the first {truth}" if pairs[1:] else one
+        )
     return pairs
 
 

@@ -121,10 +121,10 @@ def test_the_log_is_found_from_any_folder_and_where_it_moved_with_its_results(
     (logs / "elsewhere").mkdir()
     monkeypatch.chdir(logs / "elsewhere")
     done = command("../out/a")
-    assert f"the ground truth {logs / 'logs' / 'a.gt.csv'}" in done.stdout
+    assert f"ground truth next to its log, {logs / 'logs' / 'a.gt.csv'}" in done.stdout
     for name in ("out", "logs"):
         (logs / name).rename(logs / "elsewhere" / name)
-    assert "the ground truth logs/a.gt.csv" in command("out/a").stdout
+    assert "next to its log, logs/a.gt.csv" in command("out/a").stdout
     (logs / "elsewhere" / "logs" / "a.mp4").unlink()
     said = command("out/a", code=2).stderr
     assert said.startswith("sonarrec: out/a")

@@ -318,6 +318,6 @@ def test_a_comparison_says_what_a_score_says_of_each_log(tmp_path: Path) -> None
     ).notes
     assert empty.startswith("b: no row in the ground truth")
     assert lacking.startswith(f"{tmp_path / 'new'}: b: has no estimates of n")
-    assert "2 logs are 2 independent" in units
+    assert "2 logs here have 2" in units
     scored_alone = evaluate(tmp_path / "new", tmp_path / "gt.csv").notes
     assert {empty, lacking.partition(": ")[2]} <= {*scored_alone}
