@@ -229,6 +229,9 @@ def test_a_truth_or_poses_under_another_name_are_told(name: str, here: Path) -> 
         (here / "dive" / name).replace(here / "dive" / other)
         name = other
         assert name not in sonarrec(*words, code=3).stderr
+    shutil.move("dive/gt.csv", "dive/dive.gt.csv")
+    shutil.copy("truth.csv", "dive/gt (3).csv")  # perhaps of another log
+    assert "gt (3)" not in sonarrec(*words, code=3).stderr
     Path("dive/Poses.csv").write_text("timestamp,yaw\n0,0\n1,0\n")
     assert "Poses.csv is there" in sonarrec("run", "dive", "-q", "-o", "out").stderr
 

@@ -251,7 +251,8 @@ def misspelt(log: Path, name: str, used: Path | None = None) -> str:
     number of a download, as the end of a message; empty: none, or none newer than `used`."""
     folder, own = log if log.is_dir() else log.parent, own_file(log, name).name
     stem, _, ending = name.partition(".")
-    form = rf"({re.escape(log_name(log))}\.)?{stem}( ?\(\d+\))?\.{ending}(\.txt|\.{ending})?"
+    may = "" if used is not None and used.name == own else "?"  # one without NAME is another log's
+    form = rf"({re.escape(log_name(log))}\.){may}{stem}( ?\(\d+\))?\.{ending}(\.txt|\.{ending})?"
     for path in folder.glob("*.*"):
         is_similar = re.fullmatch(form, path.name, re.IGNORECASE) and path.is_file()
         if path.name in (name, own) or not is_similar:
