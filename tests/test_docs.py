@@ -200,7 +200,7 @@ def test_the_columns_listed_are_the_columns_written(tmp_path: Path) -> None:
     shutil.copytree(sample / "regression" / "pan", results)
     score = ("evaluate", "-q", "--ground-truth", sample / "pan.gt.csv")
     sonarrec(*score, results)
-    sonarrec(*score, "--compare", results, results)
+    sonarrec(*score, "--compare", sample / "regression" / "pan", results)
     sonarrec("run", sample_log(tmp_path / "log", 10), "-o", tmp_path / "short", "-q")
     written = {
         path.name: path

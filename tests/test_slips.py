@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 
 from sonarrec.cli import main
 from sonarrec.errors import SonarrecError, plain_number
+from sonarrec.landmarks import BUILT_IN
 from sonarrec.tables.toml import parse_toml
 from tests.support.command import SAMPLE, sample_log, sonarrec
 from tests.support.rows import read_rows, write_rows
@@ -67,6 +69,10 @@ def refused(*words: str) -> str:
         ("truth check dive truth.csv", "table first"),
         ("calibrate sonarrec_out/dive -o m.toml", "the log is dive"),
         ("calibrate truth.csv -o m.toml", "a table, not a log"),
+        ("truth review dive sonarrec_out/dive", "results are given with --results"),
+        ("truth review dive truth.csv", "a ground truth is given with --truth"),
+        ("evaluate sonarrec_out/dive truth.csv", "a ground truth is given with --ground-truth"),
+        ("evaluate --compare sonarrec_out/dive dive/../sonarrec_out/dive", "one folder"),
         ("run dive -landmarks basin", "--landmarks?"),
         ("run dive --config dive/sonar.toml", "--sonar"),
         ("run dive --sonar truth.csv", "CSV"),
@@ -116,10 +122,118 @@ def test_a_slip_is_answered_by_what_was_meant_and_writes_nothing(
     assert {*here.rglob("*")} == before
 
 
+@pytest.mark.parametrize("log", [".", "./", "./.", "..", "../", "in/..", "../dive/", "../dive/."])
+def test_the_current_folder_and_the_one_above_are_logs_and_results(
+    log: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "dive" / "in").mkdir()
+    monkeypatch.chdir(here / "dive" / "in" if log in ("..", "../") else here / "dive")
+    assert "dive: 4 frames" in sonarrec("run", log, "-o", here / "out").stdout
+    shutil.copy(here / "truth.csv", here / "dive" / "gt.csv")
+    shutil.copytree(here / "out" / "dive", here / "out2" / "dive")
+    (here / "out2" / "dive" / "in").mkdir()
+    monkeypatch.chdir(here / "out2" / "dive" / Path.cwd().relative_to(here / "dive"))
+    assert "TPR" in sonarrec("evaluate", log, code=3).stdout
+    # "." of the run is not the current folder, though a log is there, too.
+    monkeypatch.chdir(here / "bare")
+    assert "TPR" in sonarrec("evaluate", here / "out" / "dive", code=3).stdout
+
+
+@pytest.mark.usefixtures("here")
+def test_a_model_that_was_learned_from_the_log_it_is_scored_on_is_told() -> None:
+    log = sample_log(Path("pool"), 12)
+    rows = [row for row in read_rows(SAMPLE / "gt.csv") if int(row["frame"]) < 12]
+    write_rows(log / "gt.csv", rows)
+    shutil.copytree(log, "other")
+    sonarrec("calibrate", log, "-o", "m.toml")
+    for name in ("pool", "other"):
+        sonarrec("run", name, "--model", "m.toml", "-q")
+        results = f"sonarrec_out/{name}"
+        sonarrec("run", name, "-o", "plain", "-q")
+        for words in ((results,), ("--compare", f"plain/{name}", results)):
+            told = "learned from" in sonarrec("evaluate", *words).stdout
+            assert told == (name == "pool")
+
+
 def test_a_geometry_under_another_name_is_told_by_info(here: Path) -> None:
     assert "sonar.toml.txt" in sonarrec("info", "bare").stdout
     (here / "bare" / "sonar.toml.txt").rename(here / "bare" / "sonar.toml")
     assert "lacks" not in sonarrec("info", "bare").stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "frames", "meant"),
+    [
+        ("--config other/run.toml", "1:3", "height_m"),
+        ("--sonar other/run.toml", "1:3", "height_m"),
+        ("--config sonarrec_out/dive/run.toml", "1:3", ""),
+        ("--sonar sonarrec_out/dive/run.toml", "1:3", ""),
+        ("--sonar other/run.toml --height-m 0.68", "1:3", ""),
+        ("--sonar beams.toml", "1:3", "beams.toml is used"),
+    ],
+)
+def test_a_geometry_that_is_used_in_place_of_the_logs_own_is_told(
+    options: str, frames: str, meant: str, here: Path
+) -> None:
+    sample_log(here / "else", 3)
+    text = (here / "dive" / "sonar.toml").read_text()
+    (here / "else" / "sonar.toml").write_text(re.sub("height_m.*", "height_m = 0.9", text))
+    sonarrec("run", "else", "-q", "-o", "o")
+    (here / "o" / "else").rename(here / "other")
+    polar = text.replace('"fan"', '"polar"') + "bearings_deg = [-1, 0, 1]\n"
+    (here / "beams.toml").write_text(re.sub("field_of_view_deg.*\n", "", polar))
+    words = "run", "dive", *options.split(), "--frames", frames, "-q", "-o", here / "out"
+    told = sonarrec(*words, code=1 if "beams" in options else 0).stderr
+    assert ("log's own dive/sonar.toml" in told) == bool(meant)
+    assert meant in told
+
+
+@pytest.mark.parametrize(
+    ("name", "like", "meant"),
+    [
+        ("d1_sonar.toml", "sonar.toml", "d1.sonar.toml"),
+        ("d1_landmarks.toml", "landmarks.toml", "d1.landmarks.toml"),
+        ("landmark.toml", "landmarks.toml", "d1.landmarks.toml"),
+        ("d2_sonar.toml", "sonar.toml", ""),
+        ("d2.landmarks.toml", "landmarks.toml", ""),
+        ("d1.landmarks.toml", "landmarks.toml", ""),
+        ("d1_notes.txt", "truth.csv", ""),
+    ],
+)
+def test_a_file_of_the_log_under_another_name_is_told_where_one_is_found(
+    name: str, like: str, meant: str, here: Path
+) -> None:
+    shutil.move(here / "dive" / "000000.png", here / "d1.png")
+    shutil.move(here / "dive" / "sonar.toml", here / "sonar.toml")
+    shutil.copy(BUILT_IN / "basin.toml", here / "landmarks.toml")
+    shutil.copy(here / like, here / name)
+    (here / "landmarks.toml").unlink()
+    told = sonarrec("run", "d1.png", "-q", "-o", "out").stderr
+    assert ("call it" in told) == bool(meant)
+    assert meant in told
+
+
+@pytest.mark.parametrize(
+    "name", ["gt.csv.txt", "GT.csv", "gt (1).csv", "dive.gt(2).csv", "Dive.gt.csv.csv"]
+)
+def test_a_truth_or_poses_under_another_name_are_told(name: str, here: Path) -> None:
+    words = "evaluate", "sonarrec_out/dive"
+    shutil.copy("truth.csv", here / "dive" / name)
+    assert f"{name} is there: call it dive.gt.csv" in refused(*words)
+    shutil.copy("truth.csv", here / "dive" / "gt.csv")
+    os.utime(here / "dive" / name, (2e9, 2e9))
+    assert f"{name} is newer" in sonarrec(*words, code=3).stderr
+    os.utime(here / "dive" / name, (1e9, 1e9))
+    assert name not in sonarrec(*words, code=3).stderr
+    for other in ("dive.gt_old.csv", "other.gt.csv", "gt_2.csv"):
+        (here / "dive" / name).replace(here / "dive" / other)
+        name = other
+        assert name not in sonarrec(*words, code=3).stderr
+    shutil.move("dive/gt.csv", "dive/dive.gt.csv")
+    shutil.copy("truth.csv", "dive/gt (3).csv")  # perhaps of another log
+    assert "gt (3)" not in sonarrec(*words, code=3).stderr
+    Path("dive/Poses.csv").write_text("timestamp,yaw\n0,0\n1,0\n")
+    assert "Poses.csv is there" in sonarrec("run", "dive", "-q", "-o", "out").stderr
 
 
 @pytest.mark.parametrize(

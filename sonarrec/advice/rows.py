@@ -23,7 +23,7 @@ from sonarrec.results.folders import possible_names
 from sonarrec.sonar.geometry import polar_from_pixel
 from sonarrec.tables.read import line_numbers
 from sonarrec.truth.check import SLACK, outside_image
-from sonarrec.truth.match import match_times, share_in_image, wrong_unit
+from sonarrec.truth.match import match_times, share_in_image, wrong_times
 from sonarrec.truth.table import TruthTable, read_rows, repeated_rows
 
 
@@ -108,8 +108,8 @@ def _frames(
         # If truth is denser than the frames, the nearest row counts, as in scoring.
         frames = np.where(kept, numbers[nearest], -1)
     faults = []
-    if table.key != "frame" and (unit := wrong_unit(stamps, keys)):
-        faults.append(Fault(line[0], "unit", f"{table.key} fits the log's times only in {unit}"))
+    if table.key != "frame" and (wrong := wrong_times(stamps, keys, table.landmark[row])):
+        faults.append(Fault(line[0], "times", f"all {table.key} {wrong}"))
     for n in np.flatnonzero(~known):
         text = f"frame {keys[n]} is not in the log, which has 0 to {last}"
         if table.key != "frame":

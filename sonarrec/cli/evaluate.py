@@ -98,6 +98,8 @@ def evaluate(
         from sonarrec.evaluation import compare as comparing
 
         old, new = compare
+        if old.exists() and old.resolve() == new.resolve():
+            raise UsageError(f"{old} and {new}: one folder; give old results, then new ones")
         compared = comparing.compare(old, new, truth, scoring, of_results)
         notes, unused, folder = compared.notes, compared.unused, out or below(new, "evaluation")
         files = comparing.write_comparison(folder, compared)

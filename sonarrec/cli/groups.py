@@ -166,9 +166,10 @@ class GroupedCommand(click.Command):
         except click.UsageError as error:
             if "extra argument" not in error.message:
                 raise
-            truth = any(param.name == "ground_truth" for param in self.params[1:])
-            how = ", a ground truth is given with --ground-truth" if truth else ""
-            message = f"{error.message}; a name with spaces needs quotes{how}"
+            given = {p.name: p.opts[0] for p in self.params if isinstance(p, click.Option)}
+            words = {"ground_truth": "a ground truth is", "results": "results are"}
+            how = [f", {words[name]} given with {given[name]}" for name in words if name in given]
+            message = f"{error.message}; a name with spaces needs quotes{''.join(how)}"
             raise click.UsageError(message, ctx) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

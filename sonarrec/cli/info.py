@@ -329,7 +329,7 @@ def _images_lines(images: Images, log: Path, given: Sequence[str]) -> list[str]:
 
 def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator[str]:
     """The geometry, where each key is from, and what it lacks."""
-    from sonarrec.readers.open import SONAR_FILE, misnamed_sonar, own_file
+    from sonarrec.readers.open import SONAR_FILE, misnamed, own_file
 
     known = images.geometry
     yield ", ".join(_stated(known))
@@ -348,8 +348,8 @@ def _geometry_lines(images: Images, log: Path, given: Sequence[str]) -> Iterator
     if images.lacks:
         flags = ", ".join(f"--{key.replace('_', '-')}" for key in images.lacks)
         flags = flags.replace("--tilt-deg", "--tilt-deg (or --height-m)")
-        misnamed = "" if images.geometry_from else misnamed_sonar(log)
-        yield f"lacks {', '.join(images.lacks)}{misnamed}"
+        other = "" if images.geometry_from else misnamed(log, SONAR_FILE)
+        yield f"lacks {', '.join(images.lacks)}{other}"
         if images.geometry_from is not None:
             yield f"give {flags}, or fill in {images.geometry_from}"
         else:

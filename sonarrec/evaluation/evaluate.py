@@ -106,7 +106,13 @@ def score_log(
     ]
     options.check_against(sides[-1])
     source = recording(log.results[-1], sides[-1].run)
-    common, notes, unused = sides[0].frame, list[str](), list[str]()
+    common, unused = sides[0].frame, list[str]()
+    notes = [
+        f"{folder}: its model was learned from a log called {side.run.input.name}; if it is this "
+        "one, the rates are too good: score logs that the model was not learned from"
+        for folder, side in zip(log.results, sides, strict=True)
+        if side.run.is_trained_on
+    ]
     if sides[1:]:
         notes += _check_comparable(log.results, sides)
         common = np.intersect1d(common, sides[1].frame)

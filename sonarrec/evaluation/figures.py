@@ -404,19 +404,18 @@ def few_units(counts: Counts, figures: Sequence[Figure] = ()) -> Iterator[str]:
     figures: so that one on those with cases in too few of the units can be given.
     """
     units, logs = counts.units, len(counts.logs)
-    passes = len(counts.rows("passes", protocol="paper"))
     few = [f.units for f in figures if f.landmark == TOTAL and 0 < f.units < MIN_UNITS]
     least = min([units.number, *few]) if units.kind == "pass" else MIN_UNITS
     if least >= MIN_UNITS:
         return
-    which, has = "no intervals and no tests", "are"
+    which, cases = "no intervals and no tests", ""
     if units.number >= MIN_UNITS:
-        which, has = "some figures have no interval and no test", "have cases in"
+        which, cases = "some figures have no interval and no test", "cases in "
     more, like = math.ceil((MIN_UNITS - least) * logs / least), "these" if logs > 1 else "it"
     yield (
-        f"{which}: {number_of(passes, 'pass', 'es')} of landmarks in {number_of(logs, 'log')} "
-        f"{has} {number_of(least, 'independent unit')} (passes at the same time count as one); "
-        f"{MIN_UNITS} are needed: about {number_of(more, 'more log')} like {like}"
+        f"{which}: they need {cases}{MIN_UNITS} passes of landmarks at different times, and "
+        f"{number_of(logs, 'log')} here {'has' if logs == 1 else 'have'} {least}; score about "
+        f"{number_of(more, 'more log')} like {like}"
     )
 
 

@@ -15,7 +15,7 @@ from sonarrec.errors import (
     name_from_text,
     number_of,
 )
-from sonarrec.readers.open import is_log_file, log_name, own_file
+from sonarrec.readers.open import is_log_file, log_name, misspelt, own_file
 from sonarrec.results.read import find_logs
 from sonarrec.results.run_file import Input, read_run
 from sonarrec.runs.recorded import recorded_at
@@ -116,10 +116,11 @@ def find_truths(
         raise UsageError(f"{without[0]}{more}; give --ground-truth, or --pairs")
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     if truths is None:
-        line = f"each of {len(pairs)} logs has its own ground truth, the first "
-        if len(pairs) == 1:
-            line = f"{pairs[0].results}: next to its log lies the ground truth "
-        diagnostics.note(f"{line}{pairs[0].ground_truth}")
+        line, truth = "scored by the ground truth next to", pairs[0].ground_truth
+        one = f"{pairs[0].results}: {line} its log, {truth}"
+        diagnostics.note(
+            f"{len(pairs)} logs, each {line} it, the first {truth}" if pairs[1:] else one
+        )
     return pairs
 
 
@@ -144,10 +145,11 @@ def _truth_of_log(folder: Path, source: Input, diagnostics: Diagnostics) -> Path
     truth = log.companion(TRUTH_FILE)
     if truth is None:
         name = f"{log_name(log.location)}.{TRUTH_FILE}"
-        make = command_line("truth", "review", log.path)
-        raise SonarrecError(
-            f"no {name}, nor {TRUTH_FILE} in or beside {log.path}; {make} makes one"
-        )
+        how = misspelt(log.location, TRUTH_FILE)
+        how = how or f"; {command_line('truth', 'review', log.path)} makes one"
+        raise SonarrecError(f"no {name}, nor {TRUTH_FILE} in or beside {log.path}{how}")
+    if newer := misspelt(log.location, TRUTH_FILE, truth):
+        diagnostics.problem(f"{truth}: is used{newer}")
     if truth.name == TRUTH_FILE and truth.parent == log.location.parent:
         logs = sum(
             is_log_file(path) and not own_file(path, TRUTH_FILE).is_file()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -242,8 +244,8 @@ def _poses_of_run(folder: Path, run: RunFile) -> PoseTable | None:
     """The poses that a log was run with; None if it had none.
 
     A topic is read from the log again. A table is searched, by its name and SHA-256, in and above
-    the folder of the log, in and above that of the results, and in the working folder. Raises
-    SonarrecError if the poses are not found.
+    the folder of the log, in and above that of the results, in the working folder, and in the
+    folders in these. Raises SonarrecError if the poses are not found.
     """
     recorded, log = run.odometry, Path(run.table.get("input", {}).get("path", ""))
     if "topic" in recorded:
@@ -253,11 +255,12 @@ def _poses_of_run(folder: Path, run: RunFile) -> PoseTable | None:
     if not recorded:
         return None
     name, results = str(recorded.get("name")), folder.resolve()
-    for home in (log, *log.parents[:2], results, *results.parents[:2], Path()):
-        path = home / name
+    homes = (log, *log.parents[:2], results, *results.parents[:2], Path())
+    below = (home.glob(f"*/{glob.escape(name)}") for home in homes)
+    for path in chain((home / name for home in homes), chain.from_iterable(below)):
         if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == recorded["sha256"]:
             return read_poses(path)
     raise SonarrecError(
-        f"{folder}: the poses it was run with, {name}, are not there or have changed; give that "
-        "table with --odometry, or run the log again"
+        f"{folder}: the poses it was run with, {name}, are not found near the log, the results or "
+        "here, or have changed; name that table with --odometry, or run the log again"
     )

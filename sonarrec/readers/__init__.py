@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from sonarrec.errors import SonarrecError, UsageError, command_line
 from sonarrec.readers.log import Log
-from sonarrec.readers.open import SONAR_FILE, Source, find_log, misnamed_sonar, own_file
+from sonarrec.readers.open import SONAR_FILE, Source, find_log, misnamed, own_file
 from sonarrec.sonar.frame import Clock
 from sonarrec.sonar.stated import Sonar, sonar_from
 
@@ -91,7 +91,7 @@ def open_log(
             how = "fill it in" if has_file else f"{begin} begins a sonar.toml"
             raise SonarrecError(
                 f"{where}: sonar geometry lacks {', '.join(missing)}; {how}, or give options such "
-                f"as {option}{'' if has_file else misnamed_sonar(source.location)}"
+                f"as {option}{'' if has_file else misnamed(source.location, SONAR_FILE)}"
             )
         if not raw.polar:
             resolved.complete(where)
@@ -99,7 +99,7 @@ def open_log(
             raise SonarrecError(
                 f"{where}: the log states the sonar's geometry except for its tilt; give "
                 "--tilt-deg (downward, to within some 10 deg) or --height-m, or write one of the "
-                f"two into a sonar.toml next to it{misnamed_sonar(source.location)}"
+                f"two into a sonar.toml next to it{misnamed(source.location, SONAR_FILE)}"
             )
     except SonarrecError:
         raw.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import itertools
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,9 +70,10 @@ def unread_below(name: str, *, recursive: bool = False) -> str:
 
 
 def log_arguments(names: Iterable[str], listed: Iterable[str]) -> list[str]:
-    """The arguments of a command and the lines of a list, without empty lines and # comments.
-    Raises UsageError if no log is named, or each image of a folder by itself."""
-    lines = (line.strip() for line in listed)
+    """The arguments of a command and the lines of a list, without empty lines, # comments and the
+    quotes round a line. Raises UsageError if no log is named, or each image of a folder by itself.
+    """
+    lines = (re.sub(r"""^(["'])(.+)\1$""", r"\2", line.strip()) for line in listed)
     logs = [*names, *(line for line in lines if line and not line.startswith("#"))]
     if not logs:
         raise UsageError("--from-file: the list names no log")

@@ -25,6 +25,7 @@ from sonarrec.errors import (
     name_as_text,
     similar_name,
 )
+from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.containers.bag_folder import BagFolder, bag_files, is_bag_folder
 from sonarrec.readers.containers.ddf import DdfFrames
 from sonarrec.readers.containers.gemini import GeminiPings
@@ -225,17 +226,41 @@ def companion(log: Path, name: str, up_to: Path | None = None) -> Path | None:
     return next(filter(os.path.isfile, candidates), None)
 
 
-def misnamed_sonar(log: Path) -> str:
-    """A geometry next to a log that is not called as one, as the end of a message; empty: none."""
-    folder, own = log.parent, own_file(log, SONAR_FILE).name
+def misnamed(log: Path, name: str, used: Path | None = None) -> str:
+    """A geometry or landmark set next to a log that is not called as one, as the end of a message;
+    empty: none. name: SONAR_FILE or LANDMARKS_FILE. used: what is in its place; if several logs may
+    share that, only files whose names begin as the log's count."""
+    if used is not None and (used.name != name or used.parent == log):
+        return ""
+    what, load = {SONAR_FILE: ("geometry", load_sonar)}.get(name, ("landmark set", load_landmarks))
+    word, folder, own = name.partition(".")[0].rstrip("s"), log.parent, own_file(log, name).name
     if log.is_dir():
-        folder, own = log, SONAR_FILE
+        folder, own = log, name
     for path in sorted({*folder.glob("*.toml*"), *folder.glob("*.txt")}):
-        if "sonar" not in path.name.lower() and not path.name.startswith(log_name(log)):
+        is_named = used is None and word in path.name.lower()
+        if not (is_named or path.name.startswith(log_name(log))):
             continue  # pictures may have a text file each
         with suppress(SonarrecError):
-            if not path.name.endswith((f".{SONAR_FILE}", "run.toml")) and load_sonar(path):
-                return f"; {path.name} has a geometry: call it {own}"
+            if not path.name.endswith((f".{name}", "run.toml")) and path != used and load(path):
+                return f"; {path.name} has a {what}: call it {own}"
+    return ""
+
+
+def misspelt(log: Path, name: str, used: Path | None = None) -> str:
+    """A file in the log's folder that is called `name` but for capitals, a second ending or the
+    number of a download, as the end of a message; empty: none, or none newer than `used`."""
+    folder, own = log if log.is_dir() else log.parent, own_file(log, name).name
+    stem, _, ending = name.partition(".")
+    may = "" if used is not None and used.name == own else "?"  # one without NAME is another log's
+    form = rf"({re.escape(log_name(log))}\.){may}{stem}( ?\(\d+\))?\.{ending}(\.txt|\.{ending})?"
+    for path in folder.glob("*.*"):
+        is_similar = re.fullmatch(form, path.name, re.IGNORECASE) and path.is_file()
+        if path.name in (name, own) or not is_similar:
+            continue
+        if used is None:
+            return f"; {path.name} is there: call it {own}"
+        if path.stat().st_mtime_ns > used.stat().st_mtime_ns:
+            return f"; {path.name} is newer: call it {own} if it is meant, else delete it"
     return ""
 
 

@@ -67,7 +67,8 @@ def read_poses(path: Path) -> PoseTable:
     source = {"name": path.name, "sha256": hashlib.sha256(content).hexdigest()}
     if len(lines := _tum_lines(path, content)):
         times_ns = _times_ns(path, {"timestamp": lines[:, 0]})
-        return _ros_table(path.name, source, times_ns, lines[:, [1, 2, 4, 5, 6, 7]])
+        poses = _ros_table(path.name, source, times_ns, lines[:, [1, 2, 4, 5, 6, 7]])
+        return replace(poses, doubts=_first_is_qw(path.name, lines[:, 4:]))
     kinds: dict[str, Kind] = dict.fromkeys(("yaw", "x", "y"), "place")
     kinds |= {"timestamp_ns": "whole", "timestamp": "time"}
     table = read_table(path, kinds, ("yaw",), HEADER)
@@ -119,6 +120,20 @@ def _tum_lines(path: Path, content: bytes) -> FloatArray:
             )
         poses.append(pose)
     return np.array(poses)
+
+
+def _first_is_qw(name: str, orientation: FloatArray) -> tuple[str, ...]:
+    """A note if quaternions are upside down as TUM has them, and level, turning, with qw first.
+
+    orientation: (N, 4) of any length but 0."""
+    q = orientation.T / np.abs(orientation).max(axis=1)
+    q *= np.copysign(1, q[0]) / np.linalg.norm(q, axis=0)
+    (w, x, y, _), (_, *tilt, yaw) = np.mean(q**2, axis=1), np.var(q, axis=1)
+    if w + x <= 0.5 or x + y >= 0.1 or yaw <= 4 * sum(tilt):
+        return ()
+    return (
+        f"{name}: poses are upside down as {TUM[-11:]}, but level if qw is first: write it last",
+    )
 
 
 def _ros_table(

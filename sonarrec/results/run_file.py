@@ -356,6 +356,13 @@ class RunFile:
             frames=log_options.frames or (self.span() if same_log else None),
         )
 
+    @property
+    def is_trained_on(self) -> bool:
+        """Whether the model was learned from a log of the same name, as its comment says."""
+        text = str((self.model or {}).get("text"))
+        names = re.search(r"^# learned from \d+ frames? of (.+)$", text, re.MULTILINE)
+        return names is not None and self.input.name in names[1].split(", ")
+
     def check_poses(self, log_options: LogOptions) -> None:
         """Raise UsageError if the run had a table of poses that is not given again."""
         if self.odometry and log_options.odometry is None and log_options.odometry_topic is None:

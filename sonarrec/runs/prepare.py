@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from sonarrec.errors import SonarrecError, UsageError, name_as_text
+from sonarrec.errors import SonarrecError, UsageError, listed, name_as_text
 from sonarrec.landmarks import DrawnSet, LandmarkSet
 from sonarrec.readers import open_log
 from sonarrec.readers.containers.images import names_an_image
 from sonarrec.readers.log import Log, digest_of
-from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log, names_a_log
+from sonarrec.readers.open import (
+    LANDMARKS_FILE,
+    SONAR_FILE,
+    Source,
+    find_log,
+    misnamed,
+    misspelt,
+    names_a_log,
+)
 from sonarrec.readers.poses import POSES_FILE, read_poses
 from sonarrec.recogniser.presets.side_by_side import SideBySide
 from sonarrec.recogniser.restore.beam_width import with_beams
@@ -25,7 +33,7 @@ from sonarrec.results.run_file import LogOptions, RunFile, read_run, run_table, 
 from sonarrec.runs.job import Job, RunOptions
 from sonarrec.sonar.frame import Fan, Frame
 from sonarrec.sonar.geometry import PoseTable, floor_depth
-from sonarrec.sonar.stated import Sonar
+from sonarrec.sonar.stated import Sonar, load_sonar
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +85,13 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
         # The first frame has the geometry of all.
         span = log_options.frames or (0, None)
         frames = log.within(span)
-        first = next(frames, None)  # raises if there is no usable frame at all
+        file, differs = _geometry_file(source, log_options, given, earlier, same_log)
+        try:
+            first = next(frames, None)  # raises if there is no usable frame at all
+        except SonarrecError as error:
+            if file is None or file == source.companion(SONAR_FILE):
+                raise
+            raise SonarrecError(f"{error}; {differs or f'its geometry is of {file}'}") from None
         if first is None:
             none = f"no frame lies in --frames {span_text(span)}{log.why_none()}"
             raise UsageError(f"{Path(job.path)}: {none}")
@@ -85,7 +99,16 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
         recogniser = SideBySide(
             configs, first.fan, landmarks, None if model is None else model.weights, poses
         )
-        log.diagnostics.note(*about_beams, *([] if poses is None else poses.too_fast()))
+        log.diagnostics.note(
+            *about_beams, *([] if poses is None else [*poses.doubts, *poses.too_fast()])
+        )
+        others = [differs]
+        if file is None or file == source.companion(SONAR_FILE):
+            others.append(misnamed(source.location, SONAR_FILE, file))
+        if options.landmarks is None and "landmarks" not in earlier.table:
+            own = source.companion(LANDMARKS_FILE)
+            others.append(misnamed(source.location, LANDMARKS_FILE, own))
+        log.diagnostics.note(*(text.removeprefix("; ") for text in others if text))
         _check_folder(job, source)
         table = run_table(
             configs,
@@ -103,7 +126,7 @@ def prepare(job: Job) -> Iterator[PreparedRun]:
             table["odometry"] = dict(poses.source)
         if model is not None:
             table["model"] = model.as_table()
-        geometry = _geometry(log, first.fan, source, given, earlier)
+        geometry = _geometry(log, first.fan, file, given)
         yield PreparedRun(
             job=job,
             log=log,
@@ -170,6 +193,8 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
         return log_options
     poses = source.companion(POSES_FILE)
     if poses is None:
+        if found := misspelt(source.location, POSES_FILE):
+            source.diagnostics.note(f"it has no poses{found}")
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
     return replace(log_options, odometry=poses)
@@ -221,11 +246,31 @@ def chosen_landmarks(
     return earlier.landmark_set(own), "built in" if own is None else str(own)
 
 
-def _geometry(log: Log, fan: Fan, source: Source, given: LogOptions, earlier: RunFile) -> str:
-    """The geometry that a run goes by, in words. given: the options of the command alone."""
-    topic, file = log.reading().get("topic"), given.sonar_file or source.companion(SONAR_FILE)
-    if not given.sonar_file and earlier.sonar() != Sonar():
-        file = earlier.path
+def _geometry_file(
+    source: Source, used: LogOptions, given: LogOptions, earlier: RunFile, same_log: bool
+) -> tuple[Path | None, str]:
+    """The file that states the geometry, and in what another's differs from the log's own.
+
+    used, given: the options with those of the earlier run, and of the command alone.
+    """
+    file = own = source.companion(SONAR_FILE)
+    if given.sonar_file or earlier.sonar() != Sonar():
+        file = given.sonar_file or earlier.path
+    if own is None or file == own or (same_log and not given.sonar_file):
+        return file, ""
+    keys = list[str]()
+    with suppress(SonarrecError):  # the log's own is not needed
+        stated = load_sonar(own).updated(given.sonar).as_table()
+        going_by = source.stated_sonar(used.sonar, used.sonar_file)[0].as_table()
+        keys = [key for key, value in stated.items() if going_by.get(key) != value]
+    how = f"{file} is used, which differs from the log's own {own} in {listed(keys, 3)}"
+    return file, f"{how}; leave it out to use its own" if keys else ""
+
+
+def _geometry(log: Log, fan: Fan, file: Path | None, given: LogOptions) -> str:
+    """The geometry that a run goes by, in words. file: what states it. given: the options of the
+    command alone."""
+    topic = log.reading().get("topic")
     options = "options" if given.sonar != Sonar() else ""
     origins = [*filter(None, (topic and f"topic {topic}", options, file and str(file)))]
     tilt = " assumed" if log.sonar.tilt_deg is None else ""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from sonarrec.errors import MissingError, SonarrecError, is_url, listed, name_from_text, number_of
+from sonarrec.errors import SonarrecError, is_url, listed, name_from_text, number_of
 from sonarrec.landmarks import load_landmarks
 from sonarrec.readers.open import LANDMARKS_FILE, SONAR_FILE, Source, find_log
 from sonarrec.results.folders import is_file
@@ -21,7 +21,7 @@ def recorded_at(folder: Path, source: Input) -> Source:
         raise SonarrecError("run.toml does not say where the log is")
     if is_url(source.path):
         raise SonarrecError(f"its log is on a server, {source.path}")
-    log = _log_at(source.path, folder, source.place)
+    log = _log_at(source.path, folder, source)
     if source.bytes not in (None, size := _size(log)):
         raise SonarrecError(
             f"{log.path} has changed since the run (it had {source.bytes} bytes and has {size})"
@@ -29,18 +29,21 @@ def recorded_at(folder: Path, source: Input) -> Source:
     return log
 
 
-def _log_at(path: str, folder: Path, relative: str | None) -> Source:
-    """The log at the path in run.toml, else at the place relative to the results folder.
+def _log_at(path: str, folder: Path, source: Input) -> Source:
+    """The log at the path in run.toml, else at the place relative to the results folder; a log of
+    another size, such as "." of another folder, only if there is no other.
 
-    In both, bytes that are not UTF-8 are escaped. Raises MissingError if there is no log.
+    In both, bytes that are not UTF-8 are escaped. Raises SonarrecError if there is no log.
     """
-    candidates = [path, name_from_text(path)]
-    if relative is not None:  # the path is relative to the folder that `run` was called in
-        candidates.append(str((folder.resolve() / name_from_text(relative)).resolve()))
+    candidates, found = [path, name_from_text(path)], list[Source]()
+    if source.place is not None:  # the path is relative to the folder that `run` was called in
+        candidates.append(str((folder.resolve() / name_from_text(source.place)).resolve()))
     for candidate in candidates:
-        with suppress(MissingError):
-            return find_log(candidate)
-    return find_log(path)
+        with suppress(SonarrecError):
+            found.append(find_log(candidate))
+            if source.bytes in (None, _size(found[-1])):
+                return found[-1]
+    return found[0] if found else find_log(path)
 
 
 def _size(log: Source) -> int:

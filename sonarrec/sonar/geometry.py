@@ -376,6 +376,8 @@ class PoseTable:
     """There is no pose between two rows with a longer gap."""
     problems: tuple[str, ...] = ()
     """A line for each row that could not be used."""
+    doubts: tuple[str, ...] = ()
+    """Notes on what the user may have mistaken."""
     axes: Literal["right, ahead", "ahead, left"] = "right, ahead"
     """The directions of x and y in the user's own table at yaw 0; in `pose` they are always right
     and ahead."""

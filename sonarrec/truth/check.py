@@ -12,7 +12,7 @@ from sonarrec.errors import Diagnostics, number_of
 from sonarrec.sonar.frame import Fan
 from sonarrec.sonar.geometry import in_image, polar_from_pixel, polar_from_plane
 from sonarrec.tables import composed
-from sonarrec.truth.match import ReadLog, Truth, share_in_image, wrong_unit
+from sonarrec.truth.match import ReadLog, Truth, share_in_image, wrong_times
 from sonarrec.truth.table import TruthTable
 
 SLACK = 0.1
@@ -26,13 +26,13 @@ def misfit(table: TruthTable, log: ReadLog, truth: Truth) -> str | None:
 
     truth: as matched to the log.
     """
-    keys, fan, times = table.keys[table.rows_of(log.name)], log.fan, log.timestamp_ns
-    if table.key == "timestamp_ns" and times is not None and (unit := wrong_unit(times, keys)):
-        return (
-            f"{table.path}: its {table.key} ({keys.min()} to {keys.max()}) fit the times of "
-            f"{log.name} ({times.min()} to {times.max()} ns) only if they are in {unit}; give them "
-            "in ns"
-        )
+    rows = table.rows_of(log.name)
+    keys, fan, times = table.keys[rows], log.fan, log.timestamp_ns
+    wrong = ""
+    if table.key == "timestamp_ns" and times is not None:
+        wrong = wrong_times(times, keys, table.landmark[rows])
+    if wrong:
+        return f"{table.path}: its {table.key} ({keys.min()} to {keys.max()}) {wrong}"
     if truth.rows and not len(truth.frame_index):
         near, of_frames = "on", log.frame
         if truth.tolerance_ns is not None and times is not None:

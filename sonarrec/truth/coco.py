@@ -91,8 +91,10 @@ class Pictures:
         known = len(self.sonar.bearings_deg or ()) or beams
         expected = known, round(self.fan.window_m / self.fan.metres_per_pixel)
         if self.sonar.layout != "polar" or None in size or (beams, bins) != expected:
+            theirs = "of several sizes, or of none" if None in size else f"{size[0]} x {size[1]} px"
             raise SonarrecError(
-                f"{self.name}: the annotated images are of another size than the log's, or of none"
+                f"{self.name}: the annotated images are {theirs}, those of the log "
+                f"{self.size[0]} x {self.size[1]} px; annotate these, or scale size and shapes"
             )
         geometry = self.sonar.complete(self.name)
         bearings, ranges = beam_bearings(geometry, beams), bin_ranges(geometry, bins)

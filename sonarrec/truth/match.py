@@ -161,11 +161,43 @@ FEWEST_FRAMES = 5
 CLEARLY_MORE = 4  # times as many frames have a row if times are read in another unit
 
 
-def wrong_unit(timestamp_ns: IntArray, times: IntArray) -> str:
+QUARTER_NS = 15 * 60 * UNITS["s"]  # clocks of all zones differ by multiples of it
+MOST_HOURS = 14  # between a zone's clock and UTC
+
+
+def wrong_times(timestamp_ns: IntArray, times: IntArray, landmark: IntArray) -> str:
+    """What is wrong with times of truth, (R,), of landmarks, (R,), as a clause; else empty.
+
+    timestamp_ns: (F,) of the frames.
+    """
+    if len(timestamp_ns) < 2 or not len(times):
+        return ""
+    of_log = f"the log ({timestamp_ns.min()} to {timestamp_ns.max()} ns)"
+    if unit := _wrong_unit(timestamp_ns, times):
+        return f"fit {of_log} only in {unit}; give them in ns"
+    whole = [not (ns % UNITS["s"]).any() for ns in (timestamp_ns, times)]
+    if whole == [False, True] and len({*zip(times, landmark, strict=True)}) < len(times):
+        return (
+            "are whole seconds, so that one ID has several rows at the same; give them as in "
+            "frames.csv, or the column frame"
+        )
+    # In which quarters of an hour would all rows be in the log?
+    least = int(timestamp_ns.min()) - int(times.min()) - UNITS["s"]
+    most = int(timestamp_ns.max()) - int(times.max()) + UNITS["s"]
+    first, last = -(-least // QUARTER_NS), most // QUARTER_NS
+    if (
+        first == last != 0
+        and abs(first) <= 4 * MOST_HOURS
+        and not match_times(timestamp_ns, times)[1].any()
+    ):
+        return f"fit {of_log} only with {first / 4:+g} h; give them by the log's clock"
+    return ""
+
+
+def _wrong_unit(timestamp_ns: IntArray, times: IntArray) -> str:
     """The unit in which times of truth, (R,), clearly are if they are not in ns; else empty.
 
-    timestamp_ns: (F,) of the frames. In the right unit the rows spread over many frames; in ns all
-    would lie on few, or on none.
+    In the right unit the rows spread over many frames; in ns all would lie on few, or on none.
     """
 
     def frames(factor: int) -> int:
@@ -176,8 +208,6 @@ def wrong_unit(timestamp_ns: IntArray, times: IntArray) -> str:
         nearest, matched, _ = match_times(timestamp_ns, sized)
         return len(np.unique(nearest[matched]))
 
-    if len(timestamp_ns) < 2 or not len(times):
-        return ""
     counts = {unit: frames(factor) for unit, factor in UNITS.items()}
     best = max(counts, key=lambda unit: counts[unit])
     enough = counts[best] >= max(FEWEST_FRAMES, CLEARLY_MORE * frames(1))

@@ -86,7 +86,8 @@ def test_truths_in_one_folder(logs: Path) -> None:
     done = command(logs / "out", "--ground-truth", labelled, code=3)
     assert f"no b.gt.csv in {labelled}" in done.stderr
     assert logs_in_figures(logs) == {"", "a", "pings"}
-    compared = command("--compare", logs / "out", logs / "out", "--ground-truth", labelled, code=3)
+    old = shutil.copytree(logs / "out", logs / "old")
+    compared = command("--compare", old, logs / "out", "--ground-truth", labelled, code=3)
     assert "no b.gt.csv" in compared.stderr
 
 
@@ -120,10 +121,10 @@ def test_the_log_is_found_from_any_folder_and_where_it_moved_with_its_results(
     (logs / "elsewhere").mkdir()
     monkeypatch.chdir(logs / "elsewhere")
     done = command("../out/a")
-    assert f"the ground truth {logs / 'logs' / 'a.gt.csv'}" in done.stdout
+    assert f"ground truth next to its log, {logs / 'logs' / 'a.gt.csv'}" in done.stdout
     for name in ("out", "logs"):
         (logs / name).rename(logs / "elsewhere" / name)
-    assert "the ground truth logs/a.gt.csv" in command("out/a").stdout
+    assert "next to its log, logs/a.gt.csv" in command("out/a").stdout
     (logs / "elsewhere" / "logs" / "a.mp4").unlink()
     said = command("out/a", code=2).stderr
     assert said.startswith("sonarrec: out/a")
@@ -189,7 +190,8 @@ def test_a_truth_that_cannot_be_read_leaves_its_log_out(logs: Path, text: str) -
         truth(logs / "logs" / name, range(4))
     own = logs / "logs" / "b.gt.csv"
     own.write_text(",".join(HEADER) + f"\n{text}\n")
-    for words in ([logs / "out"], ["--compare", logs / "out", logs / "out"]):
+    old = shutil.copytree(logs / "out", logs / "old")
+    for words in ([logs / "out"], ["--compare", old, logs / "out"]):
         done = command(*words, code=3)
         (line,) = done.stderr.splitlines()
         assert line.startswith(f"sonarrec: {own} line 2: landmark ")

@@ -157,10 +157,10 @@ def test_few_or_equal_units_are_said_to_say_nothing() -> None:
     summary = summarise(two_passes)
     # Why they are few, and how much more it takes: 2 passes a log, and 6 are needed.
     (note,) = summary.notes
-    assert re.search("1 log are 2 independent .* 2 more logs", note)
+    assert re.search("need 6 passes .* 1 log here has 2; .* 2 more logs", note)
     together = [*seen(1, 0, 9), *seen(2, 0, 9), *seen(3, 1, 9)]
     (note,) = summarise(counts(matched(40, together, []))).notes
-    assert re.search("1 log are 1 independent .* 5 more logs", note)
+    assert re.search("1 log here has 1; .* 5 more logs", note)
     assert over_units(two_passes.units) == ""
     often = [row for n in range(0, 90, 15) for row in seen(1, n, n)]
     assert over_units(counts(matched(90, often, [])).units) == "; 95% intervals over 6 passes"

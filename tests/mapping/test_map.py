@@ -591,6 +591,17 @@ def test_what_is_left_out_is_told(dive: Path) -> None:
     assert f"{dive}: {len(late) + 9} of {len(rows)} " in said
 
 
+def test_poses_in_a_folder_of_their_own_are_found(dive: Path) -> None:
+    """As given by `--odometry poses/dive.poses.csv`."""
+    (dive.parent / "poses").mkdir()
+    (dive.parent / "dive.poses.csv").rename(dive.parent / "poses" / "dive.poses.csv")
+    sonarrec("map", dive)
+    deep = dive.parent / "far" / "deep"
+    deep.mkdir(parents=True)
+    (dive.parent / "poses" / "dive.poses.csv").rename(deep / "dive.poses.csv")
+    assert "--odometry" in sonarrec("map", dive, code=1).stderr
+
+
 def test_poses_that_changed_are_refused(dive: Path) -> None:
     moved = write_poses(dive.parent / "dive.poses.csv", there_and_back() + 1)
     assert "changed" in sonarrec("map", dive, code=1).stderr

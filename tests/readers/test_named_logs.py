@@ -70,7 +70,7 @@ def test_folders_globs_and_lists() -> None:
     Path("campaign/day2").rename("campaign/day [2]")
     assert named("campaign/day [2]/*") == [f"day [2]/{log}" for log in ("a.mcap", "long", "pings")]
     assert len(find_log("campaign/day [2]/pings/*.png").files) == len(IMAGES)
-    lines = ["# dives\n", "\n", "  campaign/day1\n", "campaign/dive2.mcap"]
+    lines = ["# dives\n", "\n", "  'campaign/day1'\n", '"campaign/dive2.mcap"']
     assert log_arguments(["campaign/dive10.mcap"], lines) == [
         "campaign/dive10.mcap", "campaign/day1", "campaign/dive2.mcap",
     ]  # fmt: skip

@@ -158,6 +158,18 @@ def test_frames_have_the_times_of_their_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("hours", "is_told"), [("12 01", True), ("12 13", False), ("12 02", False), ("01 13", False)]
+)
+def test_a_clock_of_12_hours_is_told(hours: str, is_told: bool, tmp_path: Path) -> None:
+    """From 12:59:59 to 01:00:00, as %I writes it."""
+    before, after = hours.split()
+    names = [f"20261120_{before}5959.{k}0.png" for k in range(10)]
+    names += [f"20261120_{after}0000.{k}0.png" for k in range(10)]
+    notes = read(image_folder(tmp_path / "log", frames(20, 20, 20), names=names)).notes
+    assert ("12 hours" in " ".join(notes)) == is_told
+
+
+@pytest.mark.parametrize(
     ("names", "told"),
     [("left right1 right2", "right2.png"), ("20261120_000 20261120_001", "not read .*20261120")],
 )

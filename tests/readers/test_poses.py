@@ -256,6 +256,23 @@ def test_tum_poses_head_along_their_x_axis(tmp_path_factory, yaw, pitch, roll, m
     assert place == pytest.approx((moved[0] + math.cos(yaw), moved[1] + math.sin(yaw)))
 
 
+@pytest.mark.parametrize(("axis", "is_told"), [("z", False), ("w", True), ("x", False)])
+@pytest.mark.parametrize("tilt_deg", [0, 20])
+def test_a_quaternion_whose_w_comes_first_is_told(
+    axis: str, is_told: bool, tilt_deg: float, tmp_path: Path
+) -> None:
+    """z: turns as TUM has it. w: with qw first. x: upside down (NED), so that it may be meant."""
+    lines = []
+    for second in range(10):
+        yaw, tilt = math.radians(8 * second - 30) / 2, math.radians(tilt_deg) / 2
+        cy, sy, ct, st = math.cos(yaw), math.sin(yaw), math.cos(tilt), math.sin(tilt)
+        q = {"z": (-sy * st, cy * st, sy * ct, cy * ct), "x": (cy * ct, sy * ct, -sy * st, cy * st)}
+        q["w"] = q["z"][3:] + q["z"][:3]
+        lines.append(f"{second} 0 0 0 {' '.join(map(str, q[axis]))}\n")
+    (tmp_path / "poses.txt").write_text("".join(lines))
+    assert bool(read_poses(tmp_path / "poses.txt").doubts) == is_told
+
+
 def pose_log(
     path: Path,
     images: Path,

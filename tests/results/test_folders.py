@@ -140,7 +140,7 @@ def test_all_that_is_made_from_results_goes_with_them(log: Path, tmp_path: Path)
     header, *rows = (SAMPLE / "gt.csv").read_text().splitlines(keepends=True)
     truth.write_text(header + "".join(row for row in rows if int(row.split(",")[0]) < FRAMES))
     sonarrec("evaluate", "--ground-truth", truth, folder)
-    sides = ["--compare", folder, folder]
+    sides = ["--compare", shutil.copytree(folder, tmp_path / "before"), folder]
     sonarrec("evaluate", "--ground-truth", truth, *sides, "-o", folder / "evaluation")
     sonarrec("report", "--ground-truth", truth, folder, "-q")
     sonarrec("map", folder, "--origin", "54,10,0", "--min-frames", "3")
@@ -307,10 +307,11 @@ def test_results_that_may_not_be_read_are_told(
     truth = tmp_path / "gt.csv"
     truth.write_text("log,frame,landmark\ndive,1,1\n")
     other = out / "of_another"
-    with locked(other):
+    again = shutil.copytree(out, tmp_path / "again")
+    with locked(other), locked(again / "of_another"):
         for words in (
             ("evaluate", out, "--ground-truth", truth),
-            ("evaluate", "--compare", out, out, "--ground-truth", truth),
+            ("evaluate", "--compare", out, again, "--ground-truth", truth),
             ("report", out, "-o", tmp_path / "report.html"),
             ("map", out, "-o", tmp_path / "map"),
             ("truth", "propose", out, "-o", tmp_path / "proposed.csv"),

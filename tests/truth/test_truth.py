@@ -192,8 +192,9 @@ def test_frames_without_a_row_may_be_left_out(case: Path, labelled: Collection[i
     found = json.loads((case / "out" / "evaluation" / "evaluation.json").read_text())
     assert found["labelled_only"]
     assert (found["frames"], found["frames_left_out"]) == (len(labelled), unlabelled)
+    shutil.copytree(case / "out", case / "again")
     compared = sonarrec(
-        *("evaluate", "--compare", case / "out", case / "out", "--labelled-only"),
+        *("evaluate", "--compare", case / "out", case / "again", "--labelled-only"),
         *("--ground-truth", case / "gt.csv", "-o", case / "compared"),
     )
     assert f"{len(labelled)} of 24" in compared.stdout

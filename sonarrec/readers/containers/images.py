@@ -23,6 +23,7 @@ from sonarrec.readers.decode.pixels import (
 )
 from sonarrec.readers.raw import RawLog, StoredFrame, UnusableError
 from sonarrec.sonar.frame import date_text
+from sonarrec.stretches import HOUR_NS
 from sonarrec.tables import ARRAY_SUFFIX, IMAGE_SUFFIXES, natural_order
 
 MAX_FILE_BYTES = 2**27  # an image of 4096 x 4096 pixels of eight bytes
@@ -183,6 +184,10 @@ class ImageFiles(RawLog):
             rate = f", and {1e9 / np.median(steps):.3g} a second" if len(steps) else ""
             if self._named is not None and self._named.spread:
                 rate += "; names have whole seconds, in which the frames are spread evenly"
+            # From 12:59:59 a clock of 12 hours goes on to 01:00:00, and names are sorted.
+            step = 12 * HOUR_NS - np.ptp(self._times)
+            if steps.max(initial=0) > 6 * HOUR_NS and 0 < step < 10 * np.median(steps):
+                rate += "; if their clock has 12 hours, 12:59 was before 01:00: write 13 for 01"
             return f"frames have the times in the names of its images, the first {first} UTC{rate}"
         if (seen := date_in(stems[0])) is not None:
             doubt = (
