@@ -33,22 +33,22 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1248,
-    "cli": 3172,
+    "advice": 1404,
+    "cli": 3176,
     "drawing": 696,
-    "evaluation": 3122,
-    "learning": 555,
-    "mapping": 1460,
+    "evaluation": 3129,
+    "learning": 548,
+    "mapping": 1463,
     "overlays": 631,
-    "readers": 6430,
-    "recogniser": 5740,
+    "readers": 6502,
+    "recogniser": 5781,
     "reports": 2687,
-    "results": 1961,
-    "runs": 1652,
+    "results": 1968,
+    "runs": 1700,
     "simulation": 2617,
-    "sonar": 962,
+    "sonar": 964,
     "tables": 1132,
-    "truth": 1265,
+    "truth": 1297,
 }
 """Limits of rooms, in lines: what each has now. A feature that needs more lines raises its room's
 limit by these; a change that removes lines lowers it."""

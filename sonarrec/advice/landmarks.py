@@ -16,8 +16,22 @@ NEAR, NEAR_SEEN = 1 / 8, 0.04
 PLATES_NEAR, PLATES_NEAR_SEEN = 0.06, 0.03
 
 
+LEAST_RING = 0.6  # outer radius of a ring, in disc radii; without one round it a disc has no edge
+
+
+def of_ring(landmarks: LandmarkSet) -> Iterator[str]:
+    """Whether the ring of a set is so small that its radii may be in metres."""
+    outer = landmarks.ring[1]
+    if not isinstance(landmarks, DrawnSet) and outer < LEAST_RING:
+        yield (
+            f"the ring of {landmarks.name} ends at {outer:g} of radius_m; ring and symbol are "
+            f"shares of the radius: if they are in metres, divide them by {landmarks.radius_m:g}"
+        )
+
+
 def of_landmarks(landmarks: LandmarkSet, beam_m: float, near: list[Distance]) -> Iterator[Advice]:
     """On what makes a set hard to recognise. beam_m, near: of and from `distances`."""
+    yield from map(Advice, of_ring(landmarks))
     of_what, least, least_seen = "an eighth of their symbol", NEAR, NEAR_SEEN
     if isinstance(landmarks, DrawnSet):
         of_what, least, least_seen = "6% of their cells", PLATES_NEAR, PLATES_NEAR_SEEN

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from sonarrec.advice.landmarks import of_ring
 from sonarrec.arrays import FloatArray
 from sonarrec.drawing.geometry import disc_width_px
 from sonarrec.errors import Advice, command_line
@@ -23,9 +25,10 @@ from sonarrec.tables.outputs import free_name
 
 _BACKGROUND = 6.0  # grey levels about the commonest one that hold no echo
 # Share of pixels outside of the stated fan that hold echoes, measured on the sample logs and on
-# recordings of others: .42 or more if the fan is wrong, at most .03 if it is right.
-_OUTSIDE = 0.15
+# recordings of others: .13 or more if the fan is wrong, at most .03 if it is right.
+_OUTSIDE = 0.1
 _FILLED = 0.6  # the same share, if the picture is no fan at all
+_OTHER_SHAPE = 0.08  # of the logarithm of width over height; pictures end within a few pixels
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
 LEAST_WIDTH_PX = 12
 """Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
@@ -54,7 +57,7 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     small, width_px = [*_in_radians(log.sonar, fan)], disc_width_px(fan, landmarks)
     narrow = width_px < LEAST_WIDTH_PX and not isinstance(landmarks, DrawnSet)
     inverted = not has_sightings and _is_bright(run)
-    lines = [*small]
+    lines = [*small, *of_ring(landmarks)]
     if not small and (doubt := contradiction(run.first, log.sonar)):
         lines.append(f"{doubt}; {_preview(run)} shows it")
     elif not narrow and (other := run.recogniser.sizes.other()):
@@ -142,39 +145,72 @@ def contradiction(first: Sequence[Frame], sonar: Sonar) -> str:
     if not first or first[0].polar is not None:
         return ""
     fan = first[0].fan
-    outside, share, upside_down = _echoes_outside(first)
+    if not (sonar.apex_px or sonar.metres_per_pixel) and (level := _margin(first)):
+        return (
+            f"a margin of grey level {level:.0f} lies round the pictures, which a fan is taken to "
+            "fill; cut it off, or state apex_px and metres_per_pixel"
+        )
+    outside, share, upside_down = _echoes_outside(first, fan)
     if share > _OUTSIDE and outside > _OUTSIDE / 10:
         text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
         if upside_down < _OUTSIDE / 3:
             option = f"--range-order {sonar.other_range_order}"
             return f"{text}, but none once it is upside down: try {option}"
+        exchanged = replace(fan, apex_column=fan.apex_row, apex_row=fan.apex_column)
+        if sonar.apex_px is not None and _echoes_outside(first, exchanged)[1] < _OUTSIDE / 3:
+            return f"{text}, but none if apex_px is exchanged: it is column, then row"
+        if shape := _other_shape(fan, sonar):
+            return f"{text}; {shape}"
         if share > _FILLED:
             return f"{text} (is it polar, --layout polar?)"
         keys = "range_min_m, range_max_m, field_of_view_deg, apex_px and metres_per_pixel"
         return f"{text} (unless it is text or a panel, look at {keys})"
     cut = _share_cut(fan)
     if cut > _CUT:
-        return (
-            f"{cut:.0%} of the stated fan lies outside of the picture, {fan.columns} x "
-            f"{fan.rows} pixels (is it polar, --layout polar? else look at metres_per_pixel "
-            "and apex_px)"
-        )
+        keys = "field_of_view_deg, metres_per_pixel and apex_px"
+        shape = _other_shape(fan, sonar) or f"is it polar, --layout polar? else look at {keys}"
+        return f"{cut:.0%} of the stated fan lies outside of the picture; {shape}"
     return ""
+
+
+def _other_shape(fan: Fan, sonar: Sonar) -> str:
+    """Whether the picture's shape is another than that of the stated fan, a clause; empty if it is
+    not, or if the fan need not fill the picture, since apex_px or metres_per_pixel is stated."""
+    half = math.radians((fan.bearing_max_deg - fan.bearing_min_deg) / 2)
+    high_m = fan.range_max_m - fan.range_min_m * math.cos(half)
+    stated = 2 * fan.range_max_m * math.sin(min(half, math.pi / 2)) / high_m
+    shape = fan.columns / fan.rows
+    if sonar.apex_px or sonar.metres_per_pixel or abs(math.log(shape / stated)) < _OTHER_SHAPE:
+        return ""
+    if abs(math.log(shape * stated)) < _OTHER_SHAPE:
+        return f"its {fan.columns} x {fan.rows} pixels have the fan's shape if rows are columns"
+    return (
+        f"the fan is {stated:.2f} times as wide as high, the picture ({fan.columns} x {fan.rows}) "
+        f"{shape:.2f} times: is it polar (--layout polar), cut or stretched, or are range_max_m, "
+        "range_min_m or field_of_view_deg wrong?"
+    )
+
+
+def _margin(first: Sequence[Frame]) -> float:
+    """The grey level of an even margin round the pictures; 0 if there is none, or a black one."""
+    picture = np.mean([frame.pixels for frame in first], axis=0)
+    edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+    return float(edge[0]) if np.ptp(edge) == 0 and edge[0] > _BACKGROUND else 0.0
 
 
 def _only_this_way_up(first: Sequence[Frame]) -> bool:
     """Whether the echoes fill the stated fan, and would not if they were upside down."""
     if first[0].polar is not None:
         return False
-    _, share, upside_down = _echoes_outside(first)
+    _, share, upside_down = _echoes_outside(first, first[0].fan)
     return share < _OUTSIDE / 3 and upside_down > _OUTSIDE
 
 
-def _echoes_outside(first: Sequence[Frame]) -> tuple[float, float, float]:
-    """(share of the picture outside of the stated fan; share of that which holds echoes; the same
-    if the picture is upside down). first: fan images."""
+def _echoes_outside(first: Sequence[Frame], fan: Fan) -> tuple[float, float, float]:
+    """(share of the picture outside of a fan; share of that which holds echoes; the same if the
+    picture is upside down). first: fan images."""
     picture = np.mean([frame.pixels for frame in first], axis=0)
-    outside = fan_mask(first[0].fan) == 0
+    outside = fan_mask(fan) == 0
     return float(np.mean(outside)), _echoes(picture[outside]), _echoes(picture[::-1][outside])
 
 
@@ -198,7 +234,7 @@ def _is_bright(run: PreparedRun) -> bool:
         frame.pixels[fan_mask(run.fan) > 0] if frame.polar is None else frame.pixels
         for frame in run.first
     ]
-    return float(np.mean([pixels.mean() for pixels in levels])) > BRIGHT
+    return any(grey.size for grey in levels) and float(np.concatenate(levels).mean()) > BRIGHT
 
 
 def _echoes(grey: FloatArray) -> float:
@@ -252,7 +288,10 @@ def _unlikely(sonar: Sonar, fan: Fan) -> Iterator[str]:
 
 def _in_radians(sonar: Sonar, fan: Fan) -> Iterator[str]:
     """Which stated angles are so small that they may be in radians."""
-    stated = [("field_of_view_deg", fan.bearing_max_deg - fan.bearing_min_deg, math.pi)]
+    name, across_deg = "field_of_view_deg", fan.bearing_max_deg - fan.bearing_min_deg
+    if sonar.bearings_deg is not None:
+        name, across_deg = "the span of bearings_deg", float(np.ptp(sonar.bearings_deg))
+    stated = [(name, across_deg, math.pi)]
     if sonar.tilt_deg is not None and sonar.tilt_deg % 1:  # 1 deg is one, and 0 is level
         stated.append(("tilt_deg", sonar.tilt_deg, math.pi / 2))
     for name, angle, most in stated:

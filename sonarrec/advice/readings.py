@@ -269,11 +269,13 @@ def _ways(both: _Sightings) -> dict[str, Way]:
                 fan, *pixel_from_polar(fan, range_m, bearing)[::-1]
             )
 
-            def turned(range_m: FloatArray, bearing: FloatArray) -> tuple[FloatArray, FloatArray]:
+            def from_below(
+                range_m: FloatArray, bearing: FloatArray
+            ) -> tuple[FloatArray, FloatArray]:
                 column, row = pixel_from_polar(fan, range_m, bearing)
                 return polar_from_pixel(fan, column, fan.rows - 1 - row)
 
-            ways["with y_px counted from the top row"] = turned
+            ways["with y_px counted from the top row"] = from_below
     return ways
 
 
@@ -332,7 +334,9 @@ def _other_scale(both: _Sightings) -> str:
         return ""
     claimed = both.claims["position"][pairs["claim"]]
     for statement in _statements(both):
-        lines = [*map(_line, statement.of(sure["position"][pairs["row"]]), statement.of(claimed))]
+        lines = [
+            *map(_line, statement.stated(sure["position"][pairs["row"]]), statement.stated(claimed))
+        ]
         if any(abs(scale) <= LEAST_SCALE for scale, _ in lines):
             continue
         words = []
@@ -341,7 +345,7 @@ def _other_scale(both: _Sightings) -> str:
                 times = f" times {scale:.3g}" if scale != 1 else ""
                 moved = f" {offset:+.2g} {unit}" if abs(offset) > least else ""
                 words.append(f"{name} were that stated{times}{moved}")
-        meant = map(np.polyval, lines, statement.of(both.rows["position"]))
+        meant = map(np.polyval, lines, statement.stated(both.rows["position"]))
         moved_rows = both.rows.with_columns(position=statement.to_plane(*meant))
         if words and both.meeting(moved_rows).explains:
             other = statement.columns[0][1] == "px" and any(scale != 1 for scale, _ in lines)
@@ -364,7 +368,7 @@ class _Statement(NamedTuple):
     these follow from (n, 2) positions in the fan plane, and back."""
 
     columns: tuple[tuple[str, str, float], tuple[str, str, float]]
-    of: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    stated: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
     to_plane: Callable[[FloatArray, FloatArray], FloatArray]
 
 
@@ -427,10 +431,8 @@ def _bearings_alone(both: _Sightings) -> str:
     sure = both.rows[both.rows["sure"]]
     pairs = both.pairs(sure)
     pairs = pairs[pairs["same"]]
-    (range_m, _), (claimed_m, _) = (
-        polar_from_plane(table["position"][pairs[of]])
-        for table, of in ((sure, "row"), (both.claims, "claim"))
-    )
+    range_m, _ = polar_from_plane(sure["position"][pairs["row"]])
+    claimed_m, _ = polar_from_plane(both.claims["position"][pairs["claim"]])
     near = np.abs(range_m - claimed_m) <= both.matched.gate_m / 2
     with_claim, of_range, met = (
         len(np.unique(pairs["row"][which]))
@@ -524,11 +526,11 @@ def _off_throughout(both: _Sightings) -> Iterator[str]:
     if len(right) < FEWEST:
         return
     claims, truths = matched.claims[right["claim"]], matched.truths[right["truth"]]
-    apart_m = float(np.median(errors_of(matched, right)["position"]["value"]))
-    if apart_m < SAME_M:
+    distance_m = float(np.median(errors_of(matched, right)["position"]["value"]))
+    if distance_m < SAME_M:
         yield (
-            f"{its_rows} lie on the claims to {apart_m:.1g} m; if they were made from results and "
-            "not checked, rates say nothing"
+            f"{its_rows} lie on the claims to {distance_m:.1g} m; if they were made from results "
+            "and not checked, rates say nothing"
         )
     off_each = np.hypot(claims["x"], claims["y"]) - np.hypot(truths["x"], truths["y"])
     off_m = float(np.median(off_each))

@@ -117,10 +117,10 @@ def find_truths(
     diagnostics.problem(*(f"{line}; not scored" for line in (*map(str, unread), *without)))
     if truths is None:
         line, truth = "scored by the ground truth next to", pairs[0].ground_truth
-        one = f"{pairs[0].results}: {line} its log, {truth}"
-        diagnostics.note(
-            f"{len(pairs)} logs, each {line} it, the first {truth}" if pairs[1:] else one
-        )
+        text = f"{pairs[0].results}: {line} its log, {truth}"
+        if pairs[1:]:
+            text = f"{len(pairs)} logs, each {line} it, the first {truth}"
+        diagnostics.note(text)
     return pairs
 
 

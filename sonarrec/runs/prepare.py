@@ -193,8 +193,8 @@ def _with_companions(source: Source, log_options: LogOptions, again: bool) -> Lo
         return log_options
     poses = source.companion(POSES_FILE)
     if poses is None:
-        if found := misspelt(source.location, POSES_FILE):
-            source.diagnostics.note(f"it has no poses{found}")
+        if near := misspelt(source.location, POSES_FILE):
+            source.diagnostics.note(f"it has no poses{near}")
         return log_options
     source.diagnostics.note(f"its poses are those of {poses}")
     return replace(log_options, odometry=poses)

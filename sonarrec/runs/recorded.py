@@ -35,15 +35,15 @@ def _log_at(path: str, folder: Path, source: Input) -> Source:
 
     In both, bytes that are not UTF-8 are escaped. Raises SonarrecError if there is no log.
     """
-    candidates, found = [path, name_from_text(path)], list[Source]()
+    candidates, logs = [path, name_from_text(path)], list[Source]()
     if source.place is not None:  # the path is relative to the folder that `run` was called in
         candidates.append(str((folder.resolve() / name_from_text(source.place)).resolve()))
     for candidate in candidates:
         with suppress(SonarrecError):
-            found.append(find_log(candidate))
-            if source.bytes in (None, _size(found[-1])):
-                return found[-1]
-    return found[0] if found else find_log(path)
+            logs.append(find_log(candidate))
+            if source.bytes in (None, _size(logs[-1])):
+                return logs[-1]
+    return logs[0] if logs else find_log(path)
 
 
 def _size(log: Source) -> int:

@@ -175,8 +175,8 @@ def wrong_times(timestamp_ns: IntArray, times: IntArray, landmark: IntArray) -> 
     of_log = f"the log ({timestamp_ns.min()} to {timestamp_ns.max()} ns)"
     if unit := _wrong_unit(timestamp_ns, times):
         return f"fit {of_log} only in {unit}; give them in ns"
-    whole = [not (ns % UNITS["s"]).any() for ns in (timestamp_ns, times)]
-    if whole == [False, True] and len({*zip(times, landmark, strict=True)}) < len(times):
+    of_seconds = [not (ns % UNITS["s"]).any() for ns in (timestamp_ns, times)]
+    if of_seconds == [False, True] and len({*zip(times, landmark, strict=True)}) < len(times):
         return (
             "are whole seconds, so that one ID has several rows at the same; give them as in "
             "frames.csv, or the column frame"

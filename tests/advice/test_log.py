@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
@@ -58,14 +59,36 @@ def test_right_geometry_is_not_doubted(log: str) -> None:
 @pytest.mark.parametrize(
     ("log", "stated", "told"),
     [
-        ("pan", {"range_max_m": 30.0}, r"holds echoes .*range_max_m"),
-        ("pan", {"field_of_view_deg": 18.0}, r"holds echoes .*field_of_view_deg"),
-        ("polar", {"layout": "fan"}, r"outside of the picture, 96 x 256 .*--layout polar"),
+        ("pan", {"range_max_m": 30.0}, r"holds echoes.*range_max_m"),
+        ("pan", {"field_of_view_deg": 18.0}, r"holds echoes.*field_of_view_deg"),
+        ("polar", {"layout": "fan"}, r"outside of the picture.*96 x 256.*--layout polar"),
+        ("pan", {"field_of_view_deg": 130.0}, r"outside of the picture.*field_of_view_deg"),
+        ("pan", {"apex_px": (383.5, 95.0)}, r"if apex_px is exchanged"),
     ],
 )
 def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: str) -> None:
     line = doubt(SAMPLE / log, **stated)
     assert re.search(told, line), line
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda image: image, ""),
+        (lambda image: image[30:], "cut or stretched"),
+        (lambda image: cv2.resize(image, (256, 256)), "cut or stretched"),
+        (np.transpose, "if rows are columns"),
+        (lambda image: np.pad(image, 8, constant_values=255), "margin of grey level 255"),
+    ],
+)
+def test_pictures_of_another_shape_are_told(
+    tmp_path: Path, change: Callable[[np.ndarray], np.ndarray], told: str
+) -> None:
+    log = sample_log(tmp_path / "log", 5)
+    for path in log.glob("*.png"):
+        cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))  # type: ignore[arg-type]
+    line = doubt(log)
+    assert told in line if told else not line
 
 
 def test_an_upside_down_fan_is_told(tmp_path: Path) -> None:

@@ -284,8 +284,8 @@ def first_levels(stated: Stated, first: Sequence[StoredFrame]) -> Levels:
     deep = [f.pixels for f in first if f.pixels is not None and f.pixels.dtype != np.uint8]
     if deep and all(map(_within_8_bits, deep)):
         stated.note(
-            f"{deep[0].dtype} pixels hold whole numbers up to 255, and are read as amplitudes; if "
-            'they are grey levels, write pixel_scale = "linear" and full_scale = 255 in sonar.toml'
+            f"{deep[0].dtype} pixels hold 0 to 255 alone, and are read as amplitudes; if they are "
+            'grey levels, write pixel_scale = "linear", full_scale = 255 in sonar.toml'
         )
     floating = [(f, f.pixels) for f in first if f.pixels is not None and f.pixels.dtype.kind == "f"]
     if floating:  # what most of them hold, echoes in decibels or others, decides the scale
