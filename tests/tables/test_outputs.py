@@ -44,6 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, tmp_path / "work")
+    shutil.copytree(made / TABLES, tmp_path / "work/before/log")
     monkeypatch.chdir(tmp_path / "work")
     return tmp_path / "work"
 
@@ -69,7 +70,7 @@ def files_of_at_most(size: int) -> Iterator[None]:
 
 TABLES = "sonarrec_out/log"
 EVALUATE = f"evaluate {TABLES} --ground-truth gt.csv"
-COMPARE = f"--compare {TABLES} {TABLES} --ground-truth gt.csv"
+COMPARE = f"--compare before/log {TABLES} --ground-truth gt.csv"
 REFUSED = [
     f"report {TABLES} -o gt.csv",
     f"report {TABLES} --log log -o other.html",
