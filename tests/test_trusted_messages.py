@@ -259,6 +259,14 @@ def test_another_reading_is_told_where_it_explains_nearly_all(
         # Every fourth frame was labelled, and these were counted.
         (lambda row: {**polar(row), "frame": f"{int(row['frame']) / 4:g}"}, "numbers times 4", 3),
         (swung, "range of a claim of their ID", 3),
+        (
+            lambda row: {
+                **polar(row),
+                "orientation_deg": f"{90 - float(row['orientation_deg']):.3f}",
+            },
+            "counter-clockwise",
+            0,
+        ),
         (lambda row: polar(row) if row["landmark"] == "1" else {}, "ID.3 in 76 frames", 0),
         (lambda row: polar(row) if row["visible"] == "1.0" else {}, "the image's edge", 0),
     ],

@@ -52,6 +52,7 @@ FEW = 0.1  # of rows and of claims meet by chance in a truth of another log
 FEWEST_CLAIMS = 20  # of which a few right ones may be chance
 SAME_M = 5e-4  # of labels and claims made by different means, which differ by millimetres at least
 MOST_ROTATION_DEG = 20.0  # by which right claims differ, in the median
+LEAST_ROTATION_DEG, CLEARLY = 6.0, 10  # if labels run clockwise; how much more sums then agree
 LEAST_STRETCH = 0.25  # of the log, without a row, at its beginning or end
 
 
@@ -222,7 +223,7 @@ def _other_reading(both: _Sightings) -> Iterator[str]:
     if reason:
         yield f"its rows would fit the claims in {name} clearly better {reason}; check it"
     elif text := _bearings_alone(both):
-        yield f"{text} in {name}; bearing_deg is from the sonar's axis, not from north or a start"
+        yield f"{text} in {name}; check bearings, which are from the sonar's axis, not from north"
     elif doubtful or seen.by_chance:
         claimed = seen.claims or len(both.claims)  # all, if none is on a frame with a row
         yield (
@@ -543,7 +544,19 @@ def _off_throughout(both: _Sightings) -> Iterator[str]:
             "floor"
         )
     rotation = errors_of(matched, right)["orientation"]["value"]
-    if len(rotation) >= FEWEST and (median := float(np.median(rotation))) > MOST_ROTATION_DEG:
+    if len(rotation) < FEWEST:
+        return
+    median, period = float(np.median(rotation)), [matched.period_deg[i] for i in right["landmark"]]
+    # Of labels that run clockwise, the sum with what is claimed is the same everywhere.
+    spread, spread_of_sum = (
+        1 - abs(np.nanmean(np.exp(2j * np.pi * angle / period)))
+        for angle in (
+            claims["orientation"] - truths["orientation"],
+            claims["orientation"] + truths["orientation"],
+        )
+    )
+    is_mirrored = median > LEAST_ROTATION_DEG and spread > CLEARLY * spread_of_sum
+    if median > MOST_ROTATION_DEG or is_mirrored:
         yield (
             f"{its_rows} have orientations that differ by {median:.0f} deg, in the median, from "
             "those of the claims on them; orientation_deg is in degrees, counter-clockwise from "
