@@ -92,11 +92,11 @@ def _scenes() -> tuple[list[list[str]], str]:
     shown |= {KINDS[kind]: kinds[kind] for kind in (lowest, highest)}
     cells = [[of, *_cells(row[f"`{name}`"] for name in METHODS)] for of, row in shown.items()]
     default, offline = (
-        ", ".join(row[f"`{name}`, false"].split()[0] for row in shown.values())
+        "{}, {} and {}".format(*(row[f"`{name}`, false"].split()[0] for row in shown.values()))
         for name in METHODS[1:]
     )
     false = f"`default` makes {default} false claims in 100 frames, `offline` {offline}"
-    return cells, f"In the first three rows {false}."
+    return cells, f"In rows 1, 2 and 3 {false}."
 
 
 def _cells(both: Iterable[str]) -> Iterator[str]:
@@ -134,8 +134,8 @@ def _made_by_others() -> list[dict[str, str]]:
 def _about_rows() -> str:
     """What the rows are, where their names do not say it."""
     return (
-        "No setting was chosen on the random scenes; their second and third row are the kind with "
-        "the lowest TPR and the one with the highest FPR. "
+        "Row 1 pools the random scenes; rows 2 and 3 are the kinds of them with the lowest TPR and "
+        "with the highest FPR. No setting was chosen on any of them. "
         f"Not made by our simulator are {len(_made_by_others())} kinds: recordings of Stonefish, "
         "of another basin simulator, ray-traced ones, and rings drawn into recordings of real "
         "rivers. Their cells have the lowest and the highest rate."
