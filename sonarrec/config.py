@@ -50,7 +50,7 @@ class Candidates:
     disc_radius_px: Annotated[float, bounds(3)] = _setting(
         12.0,
         "pixels",
-        "of a landmark seen from above: at most that in the fan, 3/4 on floors of over 2^18 pixels",
+        "of a landmark seen from above: at most that in the fan; 9 on floors of over 2^18 pixels",
     )
     threshold: Share = _setting(
         0.4,

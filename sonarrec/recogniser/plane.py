@@ -36,11 +36,11 @@ Pair = tuple[FloatArray, FloatArray]
 """(column, row), or (slant range, bearing)."""
 
 MOST_CELLS = 2**15 - 2  # across an image that OpenCV resamples
-# A floor of more than LARGE pixels, as wide fans of 10 m have, gets pixels that are larger by
-# 1 / COARSER, which takes three quarters of the time. On 22 recordings of tuning seeds (wide, and
-# 60 deg wide) TPR was .004 less (standard error .004), false claims .5 fewer a recording. With
-# larger ones, rings are no longer searched for on blocks (stage1.py).
-LARGE, COARSER = 2**18, 0.75
+# On a floor of more than LARGE pixels, as wide fans of 10 m have, a disc's radius is at most
+# LARGE_RADIUS_PX, which takes three quarters of the time of 12. On 22 recordings of tuning seeds
+# (wide, and 60 deg wide) TPR was .004 less (standard error .004), false claims .5 fewer a
+# recording. With smaller discs, rings are no longer searched for on blocks (stage1.py).
+LARGE, LARGE_RADIUS_PX = 2**18, 9.0
 
 
 def as_complex(positions: FloatArray) -> npt.NDArray[Any]:
@@ -214,7 +214,7 @@ class FloorPlane(Plane):
         radius_px = radius_m / fan.metres_per_pixel
         finest = min(disc_radius_px, radius_px)
         if np.ptp(edges) * (far**2 - near**2) / 2 * (finest / radius_m) ** 2 > LARGE:
-            finest = min(finest, COARSER * disc_radius_px)
+            finest = min(finest, LARGE_RADIUS_PX)
         self.scale = finest / radius_px
         self.axes = (radius_px * self.scale, radius_px * self.scale)
         self._pixel_m = fan.metres_per_pixel / self.scale
