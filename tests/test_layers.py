@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1404,
+    "advice": 1421,
     "cli": 3176,
     "drawing": 696,
     "evaluation": 3129,

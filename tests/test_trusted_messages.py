@@ -281,6 +281,25 @@ def test_rows_of_other_frames_or_bearings_and_missing_ones_are_told(
     assert told in done.stderr + done.stdout
 
 
+@pytest.mark.parametrize("range_m", ["2.0", "3.5"])
+def test_few_claims_of_which_none_is_right_are_told(here: Path, pan: Path, range_m: str) -> None:
+    """With sectors of the set inverted, three claims were made, and no word was said."""
+    few = shutil.copytree(pan, here / "few")
+    rows = read_rows(few / "estimates.csv")
+    kept = [row for row in rows if row["method"] == "framework" and row["landmark"] == "1"]
+    for row in rows:
+        row["declared"] = str(int(any(row is k for k in kept[30:33])))
+    write_rows(few / "estimates.csv", rows)
+    where = {"1": range_m, "3": "2.1"}
+    truth = changed(
+        here / "gt.csv",
+        SAMPLES / "pan.gt.csv",
+        lambda r: {**polar(r), "range_m": where[r["landmark"]]},
+    )
+    done = evaluated(few, truth, code=3)  # the table was changed
+    assert ("none of 3 claims" in done.stdout) == (range_m == "3.5")
+
+
 def test_own_claims_taken_for_truth_are_noted(here: Path, pan: Path) -> None:
     claims = [row for row in read_rows(pan / "estimates.csv") if row["declared"] == "1"]
     claims = [row for row in claims if row["method"] == "framework"]

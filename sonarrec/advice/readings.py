@@ -64,7 +64,13 @@ def of_claims(
     matched: of all frames of the log; its leading method is asked.
     """
     both = _sightings(table, log, matched, options)
-    if min(both.rows["sure"].sum(), len(both.claims)) < FEWEST:
+    rows = int(both.rows["sure"].sum())
+    if min(rows, len(both.claims)) < FEWEST:
+        if rows >= FEWEST_CLAIMS and len(both.claims) and not len(both.met(both.rows)):
+            yield Advice(
+                f"{table.path}: none of {number_of(len(both.claims), 'claim')} in {log.name} meets "
+                f"one of its {rows} rows; check the landmark set, the geometry and this truth"
+            )
         return
     for check in (_other_reading, _other_part, _without_rows):
         if lines := [*check(both)]:
@@ -259,21 +265,19 @@ Way = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 def _ways(both: _Sightings) -> dict[str, Way]:
     """The ways in which positions may have been stated, in words."""
     ways: dict[str, Way] = {
-        "with the sign of their bearings reversed": lambda range_m, bearing: (range_m, -bearing),
-        "with bearings in radians": lambda range_m, bearing: (range_m, np.degrees(bearing)),
+        "with the sign of their bearings reversed (or the other --flip)": lambda r, b: (r, -b),
+        "with bearings in radians": lambda r, b: (r, np.degrees(b)),
     }
     if (fan := both.log.fan) is not None:
         ends_m = fan.range_min_m + fan.range_max_m
-        ways["with the other --range-order"] = lambda range_m, bearing: (ends_m - range_m, bearing)
+        ways["with the other --range-order of run"] = lambda r, b: (ends_m - r, b)
         if both.in_pixels:
-            ways["with x_px and y_px exchanged"] = lambda range_m, bearing: polar_from_pixel(
-                fan, *pixel_from_polar(fan, range_m, bearing)[::-1]
+            ways["with x_px and y_px exchanged"] = lambda r, b: polar_from_pixel(
+                fan, *pixel_from_polar(fan, r, b)[::-1]
             )
 
-            def from_below(
-                range_m: FloatArray, bearing: FloatArray
-            ) -> tuple[FloatArray, FloatArray]:
-                column, row = pixel_from_polar(fan, range_m, bearing)
+            def from_below(r: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+                column, row = pixel_from_polar(fan, r, b)
                 return polar_from_pixel(fan, column, fan.rows - 1 - row)
 
             ways["with y_px counted from the top row"] = from_below
