@@ -60,7 +60,7 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     lines = [*small, *of_ring(landmarks)]
     if not small and (doubt := contradiction(run.first, log.sonar)):
         lines.append(f"{doubt}; {_preview(run)} shows it")
-    elif not narrow and (other := run.recogniser.sizes.other()):
+    elif not (small or narrow or inverted) and (other := run.recogniser.sizes.other()):
         lines.append(
             f"rings of about {other:.2g} m radius fit clearly better than those of "
             f"{landmarks.name}, {landmarks.radius_m:g} m; check radius_m, the range window, "
@@ -83,7 +83,8 @@ def of_run(run: PreparedRun, *, has_sightings: bool) -> Iterator[Advice]:
     static, saturated, cause = run.recogniser.restored
     if static:
         lines.append(
-            f"{static:.1%} of the picture never changes, and is filled from its neighbours"
+            f"{static:.1%} of the picture never changes, as text or a panel, and is filled from "
+            "its neighbours"
         )
     if saturated and not inverted:
         lines.append(f"{saturated:.0%} of the frames {cause}")
