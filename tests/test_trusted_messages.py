@@ -259,6 +259,7 @@ def test_another_reading_is_told_where_it_explains_nearly_all(
         # Every fourth frame was labelled, and these were counted.
         (lambda row: {**polar(row), "frame": f"{int(row['frame']) / 4:g}"}, "numbers times 4", 3),
         (swung, "range of a claim of their ID", 3),
+        (lambda row: moved(row, 3 * (int(row["frame"]) > 60)), "on would fit the claims", 3),
         (
             lambda row: {
                 **polar(row),

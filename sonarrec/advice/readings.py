@@ -7,7 +7,7 @@ method. These checks follow one another, and the first that finds something ends
    stated in another way, with another scale or offset? It is named as the reason only if nearly all
    rows and claims meet under it. If others fit clearly better but none explains the difference, or
    if hardly any rows and claims meet, the note says what was seen and gives no reason.
-2. Would a part of the rows fit better in another reading?
+2. Would a part of the rows fit better in another reading, or a half of them at other frames?
 3. Do frames with claims lack rows?
 4. Do many claims lie where no row is? Are right claims all as far off in range, or in orientation,
    or exactly on rows? These are no more than notes.
@@ -39,6 +39,7 @@ from sonarrec.truth.table import TruthTable
 
 MOST_ROWS = 500  # are asked which reading fits; more add nothing
 MOST_SHIFT = 500  # frames by which the truth may be early or late
+MOST_PART_SHIFT = 50  # frames by which a half of it may be
 BETTER = 0.05  # by which another reading must fit better; with right truths none ever did
 NEARLY_ALL = 0.8  # of rows and of claims agree under the reading that is named as the reason
 PART = 0.1  # of the rows, that were stated in another way than the others
@@ -72,7 +73,7 @@ def of_claims(
                 f"one of its {rows} rows; check the landmark set, the geometry and this truth"
             )
         return
-    for check in (_other_reading, _other_part, _without_rows):
+    for check in (_other_reading, _other_part, _other_half, _without_rows):
         if lines := [*check(both)]:
             yield from (Advice(f"{table.path}: {line}", grave=True) for line in lines)
             return
@@ -426,6 +427,32 @@ def _other_part(both: _Sightings) -> Iterator[str]:
         if count.explains and count.rows_met > PART * rows:
             text = f"{count.rows_met} of {rows} rows would meet claims only {words}"
             yield f"{text} in {name}; check them"
+            return
+
+
+def _other_half(both: _Sightings) -> Iterator[str]:
+    """Whether the earlier or the later rows would fit clearly better some frames off, as where
+    frames are missing in the log."""
+    sure, most = both.rows[both.rows["sure"]], min(MOST_PART_SHIFT, int(np.ptp(both.frames)))
+    middle = int(np.median(sure["frame"]))
+    for where, half in (
+        (f"from frame {middle} on", sure[sure["frame"] >= middle]),
+        (f"before frame {middle}", sure[sure["frame"] < middle]),
+    ):
+        if not both.matched.placed or len(half) < FEWEST_CLAIMS:
+            continue
+        fit = both.fits(half[:: -(-len(half) // MOST_ROWS)], most)
+        shift = int(fit.argmax()) - most
+        moved = half.with_columns(frame=half["frame"] + shift)
+        # A landmark that stays in one position fits at any time.
+        given, off = (
+            np.median(pairs["offset"][pairs["same"]]) if pairs["same"].any() else np.inf
+            for pairs in (both.pairs(half), both.pairs(moved))
+        )
+        better = fit.max() > fit[most] + BETTER and given > 2 * off
+        if better and abs(shift) < most and both.meeting(moved).explains:
+            fits = f"would fit the claims in {both.log.name} clearly better"
+            yield f"its rows {where} {fits} {_shift(shift, both.log)}; check it"
             return
 
 
