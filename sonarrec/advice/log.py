@@ -29,6 +29,7 @@ _BACKGROUND = 6.0  # grey levels about the commonest one that hold no echo
 _OUTSIDE = 0.1
 _FILLED = 0.6  # the same share, if the picture is no fan at all
 _OTHER_SHAPE = 0.08  # of the logarithm of width over height; pictures end within a few pixels
+_LEAST_MARGIN_PX = 4  # a darker edge of the fan may be black too
 _CUT = 0.2  # share of the stated fan that lies outside of the picture
 LEAST_WIDTH_PX = 12
 """Of the first 64 frames of sample_data/pan at 32, 16, 12, 10 and 8 px, landmarks are declared 80,
@@ -146,10 +147,10 @@ def contradiction(first: Sequence[Frame], sonar: Sonar) -> str:
     if not first or first[0].polar is not None:
         return ""
     fan = first[0].fan
-    if not (sonar.apex_px or sonar.metres_per_pixel) and (level := _margin(first)):
+    if not (sonar.apex_px or sonar.metres_per_pixel) and (margin := _margin(first, fan)):
         return (
-            f"a margin of grey level {level:.0f} lies round the pictures, which a fan is taken to "
-            "fill; cut it off, or state apex_px and metres_per_pixel"
+            f"a margin of {margin} lies round the pictures, which a fan is taken to fill; cut it "
+            "off, or state apex_px and metres_per_pixel"
         )
     outside, share, upside_down = _echoes_outside(first, fan)
     if share > _OUTSIDE and outside > _OUTSIDE / 10:
@@ -177,10 +178,7 @@ def contradiction(first: Sequence[Frame], sonar: Sonar) -> str:
 def _other_shape(fan: Fan, sonar: Sonar) -> str:
     """Whether the picture's shape is another than that of the stated fan, a clause; empty if it is
     not, or if the fan need not fill the picture, since apex_px or metres_per_pixel is stated."""
-    half = math.radians((fan.bearing_max_deg - fan.bearing_min_deg) / 2)
-    high_m = fan.range_max_m - fan.range_min_m * math.cos(half)
-    stated = 2 * fan.range_max_m * math.sin(min(half, math.pi / 2)) / high_m
-    shape = fan.columns / fan.rows
+    stated, shape = _shape(fan), fan.columns / fan.rows
     if sonar.apex_px or sonar.metres_per_pixel or abs(math.log(shape / stated)) < _OTHER_SHAPE:
         return ""
     if abs(math.log(shape * stated)) < _OTHER_SHAPE:
@@ -192,11 +190,28 @@ def _other_shape(fan: Fan, sonar: Sonar) -> str:
     )
 
 
-def _margin(first: Sequence[Frame]) -> float:
-    """The grey level of an even margin round the pictures; 0 if there is none, or a black one."""
+def _margin(first: Sequence[Frame], fan: Fan) -> str:
+    """How wide and bright an even margin round the pictures is; empty if there is none. A black one
+    counts if what lies within has the shape of the stated fan."""
     picture = np.mean([frame.pixels for frame in first], axis=0)
     edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
-    return float(edge[0]) if np.ptp(edge) == 0 and edge[0] > _BACKGROUND else 0.0
+    lit = np.abs(picture - edge[0]) > 1
+    if np.ptp(edge) > 0 or not lit.any():
+        return ""
+    rows, columns = (np.flatnonzero(lit.any(axis=axis)) for axis in (1, 0))
+    high, wide = (int(lines[-1] - lines[0] + 1) for lines in (rows, columns))
+    width_px = min(rows[0], fan.rows - 1 - rows[-1], columns[0], fan.columns - 1 - columns[-1])
+    fits = abs(math.log(wide / high / _shape(fan))) < _OTHER_SHAPE
+    if edge[0] <= _BACKGROUND and not (fits and width_px >= _LEAST_MARGIN_PX):
+        return ""
+    return f"{width_px} px or more of grey level {edge[0]:.0f}"
+
+
+def _shape(fan: Fan) -> float:
+    """How many times as wide as high a picture is that the fan just fills."""
+    half = min(math.radians((fan.bearing_max_deg - fan.bearing_min_deg) / 2), math.pi / 2)
+    high_m = fan.range_max_m - fan.range_min_m * math.cos(half)
+    return 2 * fan.range_max_m * math.sin(half) / high_m
 
 
 def _only_this_way_up(first: Sequence[Frame]) -> bool:

@@ -78,7 +78,8 @@ def test_wrong_geometry_is_told(log: str, stated: dict[str, float | str], told: 
         (lambda image: image[30:], "cut or stretched"),
         (lambda image: cv2.resize(image, (256, 256)), "cut or stretched"),
         (np.transpose, "if rows are columns"),
-        (lambda image: np.pad(image, 8, constant_values=255), "margin of grey level 255"),
+        (lambda image: np.pad(image, 8, constant_values=255), "8 px or more of grey level 255"),
+        (lambda image: np.pad(image, 20), "20 px or more of grey level 0"),
     ],
 )
 def test_pictures_of_another_shape_are_told(
