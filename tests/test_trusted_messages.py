@@ -282,6 +282,20 @@ def test_rows_of_other_frames_or_bearings_and_missing_ones_are_told(
     assert told in done.stderr + done.stdout
 
 
+@pytest.mark.parametrize(("rows", "code"), [("", 1), ("5,none,2,0\n", 0)])
+def test_a_log_without_landmarks_is_scored_for_false_claims(
+    here: Path, pan: Path, rows: str, code: int
+) -> None:
+    truth = here / "gt.csv"
+    truth.write_text(f"frame,landmark,range_m,bearing_deg\n{rows}")
+    evaluated(pan, truth, code=code)
+    if not code:
+        cells = read_rows(here / "ev/confusion.csv")
+        strict = {r["landmark"]: r for r in cells if (r["protocol"], r["method"])[1] == "framework"}
+        assert int(strict["total"]["fp"]) == 160  # all that it claims
+        assert strict["total"]["tpr"] == ""
+
+
 @pytest.mark.parametrize("range_m", ["2.0", "3.5"])
 def test_few_claims_of_which_none_is_right_are_told(here: Path, pan: Path, range_m: str) -> None:
     """With sectors of the set inverted, three claims were made, and no word was said."""

@@ -73,7 +73,8 @@ class LogScore:
     has_log_column: bool
     """Whether the truth can be of several logs."""
     rows: tuple[int, int, int, int]
-    """Of the truth: all, those about this log, of them unprocessed and between; see Truth."""
+    """Of the truth: all, those about this log (also that it holds nothing), of them unprocessed and
+    between; see Truth."""
     frames: int
     left_out: int
     """Frames that are not labelled, if only labelled ones count."""
@@ -147,11 +148,12 @@ def score_log(
                 ],
             )
         matched = [match(*side, options, ids) for side in zip(*counted, strict=True)]
+    none_rows = len(table.rows_of(last.name, strangers=True))
     score = LogScore(
         log=log,
         recording=source,
         has_log_column=table.log is not None,
-        rows=(len(table.keys), truth.rows, truth.unprocessed, truth.between),
+        rows=(len(table.keys), truth.rows + none_rows, truth.unprocessed, truth.between),
         frames=len(last.frame),
         left_out=left_out,
         ids=ids,

@@ -71,8 +71,8 @@ def without_rows(path: Path, rows: int, logs: Iterable[str], consequence: str) -
     if rows:
         return f"{path}: its log column names none of {', '.join(logs)}"
     return (
-        f"{path}: it has no row, so {consequence}; a truth has a row per landmark in view "
-        "(sonarrec help truth)"
+        f"{path}: it has no row, so {consequence}; a truth has a row per landmark in view, or "
+        "with landmark `none` where nothing is (sonarrec help truth)"
     )
 
 
