@@ -33,15 +33,15 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1421,
+    "advice": 1467,
     "cli": 3176,
     "drawing": 696,
-    "evaluation": 3129,
+    "evaluation": 3131,
     "learning": 548,
     "mapping": 1463,
     "overlays": 631,
     "readers": 6502,
-    "recogniser": 5781,
+    "recogniser": 5787,
     "reports": 2687,
     "results": 1968,
     "runs": 1700,

@@ -230,8 +230,11 @@ def _other_reading(both: _Sightings) -> Iterator[str]:
     if reason:
         yield f"its rows would fit the claims in {name} clearly better {reason}; check it"
     elif text := _bearings_alone(both):
-        yield f"{text} in {name}; check bearings, which are from the sonar's axis, not from north"
-    elif doubtful or seen.by_chance:
+        yield (
+            f"{text} in {name}; is this its truth, with bearings from the sonar's axis, not from "
+            "north?"
+        )
+    elif seen.by_chance or (doubtful and seen.shares[1] < NEARLY_ALL):  # else rows are missed
         claimed = seen.claims or len(both.claims)  # all, if none is on a frame with a row
         yield (
             f"{seen.rows_met} of {number_of(seen.rows, 'row')} on {name} and {seen.claims_met} of "

@@ -154,6 +154,15 @@ def test_frames_without_a_pose_are_told_once(pings):
     assert run["input"]["problems"] == [problem.removeprefix("sonarrec: ")]
 
 
+@pytest.mark.parametrize(("late_s", "is_told"), [(1.7e9, True), (2.0, False)])
+def test_poses_by_another_clock_of_the_same_length_are_told(pings, late_s, is_told):
+    lines = pan_table(Path("unix.csv"), 16).read_text().split()
+    rows = [f"{float(line.split(',')[0]) + late_s:.3f},{line.split(',')[1]}" for line in lines[1:]]
+    Path("unix.csv").write_text("\n".join([lines[0], *rows]) + "\n")
+    told = sonarrec("run", pings, "--odometry", "unix.csv", code=3).stderr
+    assert ("take 1700000000.000 s off" in told) == is_told
+
+
 @pytest.mark.parametrize("factor", [-1.0, math.pi / 180, 0.5, 0.9, 1.1, 2.0])
 def test_a_table_that_the_images_contradict_is_noted(pings, factor):
     told = sonarrec("run", pings, "--odometry", pan_table(Path("odd.csv"), per_second=factor))

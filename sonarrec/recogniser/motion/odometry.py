@@ -93,9 +93,15 @@ class Odometry:
                 "{:.3f} to {:.3f} s".format(*(t / 1e9 for t in span))
                 for span in (poses.time_ns[[0, -1]], self._span)
             )
+            (begins, ends), (first, last) = poses.time_ns[[0, -1]].tolist(), self._span
+            late = ""
+            if self._without_pose == self._frames and abs(ends - begins - last + first) < 10**9:
+                late = (
+                    f"; if both began together, take {(begins - first) / 1e9:.3f} s off its times"
+                )
             diagnostics.problem(
                 f"{poses.name}: no pose for {self._without_pose} of {self._frames} frames; it "
-                f"covers {covered}, and the frames are from {log}"
+                f"covers {covered}, and the frames are from {log}{late}"
             )
         differing = int(self._differing[SHIFTS_NS == 0][0])
         least = int(self._differing.min())
