@@ -38,7 +38,7 @@ Pair = tuple[FloatArray, FloatArray]
 MOST_CELLS = 2**15 - 2  # across an image that OpenCV resamples
 # On a floor of more than LARGE pixels, as wide fans of 10 m have, a disc's radius is at most
 # LARGE_RADIUS_PX, which takes .85 of the time of 12, and 11 MB less. On 22 recordings of tuning
-# seeds (wide, and 60 deg wide) TPR was .004 less (standard error .004), false claims .5 fewer a
+# seeds (wide, and 60 deg wide) TPR was .004 less (standard error .004), false claims .3 fewer a
 # recording. With smaller discs, rings are no longer searched for on blocks (stage1.py).
 LARGE, LARGE_RADIUS_PX = 2**18, 9.0
 
