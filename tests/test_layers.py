@@ -33,7 +33,7 @@ PARTS = (
 )
 """Modules that the rest of their room is built on: each knows of it only those named before."""
 MOST_LINES = {
-    "advice": 1467,
+    "advice": 1474,
     "cli": 3176,
     "drawing": 696,
     "evaluation": 3131,
@@ -41,7 +41,7 @@ MOST_LINES = {
     "mapping": 1463,
     "overlays": 631,
     "readers": 6502,
-    "recogniser": 5787,
+    "recogniser": 5786,
     "reports": 2687,
     "results": 1968,
     "runs": 1700,

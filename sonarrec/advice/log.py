@@ -146,20 +146,20 @@ def contradiction(first: Sequence[Frame], sonar: Sonar) -> str:
     stated."""
     if not first or first[0].polar is not None:
         return ""
-    fan = first[0].fan
-    if not (sonar.apex_px or sonar.metres_per_pixel) and (margin := _margin(first, fan)):
+    fan, picture = first[0].fan, _mean(first)
+    if not (sonar.apex_px or sonar.metres_per_pixel) and (margin := _margin(picture, fan)):
         return (
             f"a margin of {margin} lies round the pictures, which a fan is taken to fill; cut it "
             "off, or state apex_px and metres_per_pixel"
         )
-    outside, share, upside_down = _echoes_outside(first, fan)
+    outside, share, upside_down = _echoes_outside(picture, fan)
     if share > _OUTSIDE and outside > _OUTSIDE / 10:
         text = f"{share:.0%} of the picture outside of the stated fan holds echoes"
         if upside_down < _OUTSIDE / 3:
             option = f"--range-order {sonar.other_range_order}"
             return f"{text}, but none once it is upside down: try {option}"
         exchanged = replace(fan, apex_column=fan.apex_row, apex_row=fan.apex_column)
-        if sonar.apex_px is not None and _echoes_outside(first, exchanged)[1] < _OUTSIDE / 3:
+        if sonar.apex_px is not None and _echoes_outside(picture, exchanged)[1] < _OUTSIDE / 3:
             return f"{text}, but none if apex_px is exchanged: it is column, then row"
         if shape := _other_shape(fan, sonar):
             return f"{text}; {shape}"
@@ -190,10 +190,14 @@ def _other_shape(fan: Fan, sonar: Sonar) -> str:
     )
 
 
-def _margin(first: Sequence[Frame], fan: Fan) -> str:
-    """How wide and bright an even margin round the pictures is; empty if there is none. A black one
+def _mean(first: Sequence[Frame]) -> FloatArray:
+    """(rows, columns) of the first frames."""
+    return np.asarray(np.mean([frame.pixels for frame in first], axis=0))
+
+
+def _margin(picture: FloatArray, fan: Fan) -> str:
+    """How wide and bright an even margin of a fan image is; empty if there is none. A black one
     counts if what lies within has the shape of the stated fan."""
-    picture = np.mean([frame.pixels for frame in first], axis=0)
     edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
     lit = np.abs(picture - edge[0]) > 1
     if np.ptp(edge) > 0 or not lit.any():
@@ -218,14 +222,13 @@ def _only_this_way_up(first: Sequence[Frame]) -> bool:
     """Whether the echoes fill the stated fan, and would not if they were upside down."""
     if first[0].polar is not None:
         return False
-    _, share, upside_down = _echoes_outside(first, first[0].fan)
+    _, share, upside_down = _echoes_outside(_mean(first), first[0].fan)
     return share < _OUTSIDE / 3 and upside_down > _OUTSIDE
 
 
-def _echoes_outside(first: Sequence[Frame], fan: Fan) -> tuple[float, float, float]:
-    """(share of the picture outside of a fan; share of that which holds echoes; the same if the
-    picture is upside down). first: fan images."""
-    picture = np.mean([frame.pixels for frame in first], axis=0)
+def _echoes_outside(picture: FloatArray, fan: Fan) -> tuple[float, float, float]:
+    """(share of a fan image outside of a fan; share of that which holds echoes; the same if the
+    picture is upside down)."""
     outside = fan_mask(fan) == 0
     return float(np.mean(outside)), _echoes(picture[outside]), _echoes(picture[::-1][outside])
 
@@ -235,7 +238,7 @@ def _narrows(first: Sequence[Frame]) -> bool:
     corners are empty."""
     if first[0].polar is None:
         return False
-    picture = np.mean([frame.pixels for frame in first], axis=0)
+    picture = _mean(first)
     high, wide = (side // 8 for side in picture.shape)
     for end in (picture[:high], picture[-high:]):
         corners = max(_echoes(end[:, :wide]), _echoes(end[:, -wide:]))

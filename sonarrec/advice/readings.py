@@ -153,6 +153,15 @@ class _Sightings:
             claims_met=len(np.unique(met["claim"])),
         )
 
+    def come_nearer(self, rows: Table, moved: Table) -> bool:
+        """Whether rows come clearly nearer to claims of their ID at other frames. A landmark that
+        stays in one position does not: it fits at any time."""
+        given, other = (
+            np.median(pairs["offset"][pairs["same"]]) if pairs["same"].any() else np.inf
+            for pairs in (self.pairs(rows), self.pairs(moved))
+        )
+        return bool(given > 2 * other)
+
     def fits(self, rows: Table, most: int) -> FloatArray:
         """(2 most + 1,) how near claims come to these rows, 0 to 1 on average, if the rows are
         `most` frames earlier ... as they are ... `most` frames later."""
@@ -367,7 +376,7 @@ def _other_numbers(both: _Sightings) -> str:
     """By which factor nearly all rows meet claims, where every n-th frame was numbered anew."""
     for every in range(2, MOST_EVERY + 1):
         numbered = both.rows.with_columns(frame=every * both.rows["frame"])
-        if both.meeting(numbered).explains:
+        if both.meeting(numbered).explains and both.come_nearer(both.rows, numbered):
             return f"with frame numbers times {every}, as if every {every}th frame had one"
     return ""
 
@@ -447,12 +456,7 @@ def _other_half(both: _Sightings) -> Iterator[str]:
         fit = both.fits(half[:: -(-len(half) // MOST_ROWS)], most)
         shift = int(fit.argmax()) - most
         moved = half.with_columns(frame=half["frame"] + shift)
-        # A landmark that stays in one position fits at any time.
-        given, off = (
-            np.median(pairs["offset"][pairs["same"]]) if pairs["same"].any() else np.inf
-            for pairs in (both.pairs(half), both.pairs(moved))
-        )
-        better = fit.max() > fit[most] + BETTER and given > 2 * off
+        better = fit.max() > fit[most] + BETTER and both.come_nearer(half, moved)
         if better and abs(shift) < most and both.meeting(moved).explains:
             fits = f"would fit the claims in {both.log.name} clearly better"
             yield f"its rows {where} {fits} {_shift(shift, both.log)}; check it"

@@ -20,9 +20,8 @@ LEAST_COMPARED = 10
 # contradict.
 SHIFTS_NS = np.arange(-20, 21) * 250_000_000
 LEAST_MENDED, MENDED = 5, 0.75
-MOST_FACTOR = (
-    1.5  # between the rotations of the table and of the images, over all that were compared
-)
+# Between the sums of the images' pans and of the table's, in the frames that were compared.
+MOST_FACTOR = 1.5
 
 
 class Odometry:
